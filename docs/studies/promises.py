@@ -317,7 +317,7 @@ BREAKS = {
         "apps/recognition/leaks.py", "leaks_of", "return None"
     ),
     "cells_of_lower_conductance_are_not_a_contact": Break(
-        "apps/recognition/contacts.py", "contacts_of", "change = -np.abs(change)"
+        "apps/recognition/suction.py", "contacts_of", "change = -np.abs(change)"
     ),
     "remote_clients_need_the_token": Break("apps/live/server.py", "Access.shown_by", "return True"),
     "an_attached_load_is_never_taken_for_the_zero": Break(

@@ -22,13 +22,12 @@ from lampest.apps.recognition.breath import Breath, breath, too_slow
 from lampest.apps.recognition.breathing import Breathing
 from lampest.apps.recognition.detect import detection
 from lampest.apps.recognition.detect.answer import Detected, alarming, event_table, load_table
-from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.detector import Detector, Verdict
 from lampest.apps.recognition.image import ImageWatch, Window
 from lampest.apps.recognition.pumping import Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water, settled
 from lampest.apps.recognition.suction import suctions
 from lampest.apps.recognition.swings import Patterns, patterns_of
-from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Look, WatchSetup
 from lampest.inference import evidence, noise
@@ -860,12 +859,12 @@ def swings_row() -> list[Any]:
         watch = replace(
             initial, present=True, known=True, look=look, window=window, attachments=loads
         )
-        heard = watch._heard(at[-1])
+        heard = watch._heard()
         rows.append([load.breath for load in heard.attachments])
         moved = tuple(
             replace(load, moved_s=times) for load in heard.attachments for times in ((), (2.0,))
         )
-        returned = replace(heard, attachments=moved)._heard(at[-1] + 0.5)
+        returned = replace(heard, attachments=moved)._heard()
         for track in filter(
             None, (load.track for load in (*heard.attachments, *returned.attachments))
         ):

@@ -19,7 +19,7 @@ from lampest.apps.film.pressure import (
 from lampest.apps.film.tare import TareWatch
 from lampest.apps.recognition import mouth_model
 from lampest.apps.recognition.disc_search import TEMPLATES, DiscSearch
-from lampest.apps.recognition.sucking_disc import BentSuction
+from lampest.apps.recognition.mouth_model import BentSuction
 from lampest.files.typed import members_of, shipped
 from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
 from lampest.inference.unobservable import unobservable_numbers
@@ -562,6 +562,7 @@ def mouth_model_row() -> dict[str, Any]:
     mean, sd = mouth_model.mean_and_sd(PANEL)
     disc = SHAPES["oral_disc"].disc()
     start = mouth_model.start_of(disc)
+    steps = mouth_model.numbers(start[:, None] + 1e-30j * np.eye(len(start)))
     discs = [SHAPES[name].disc() for name in ("ring", "suction_cup")]
     discs += [
         disc._replace(diameter_mm=2.0, inner_mm=0.1),
@@ -575,7 +576,7 @@ def mouth_model_row() -> dict[str, Any]:
         "map": mouth_model.pressure(PANEL, 6.0, start),
         "blind": mouth_model.blind(start),
         "disc": mouth_model.disc_of(start),
-        "slopes": mouth_model.disc_with_slopes(start)[1],
+        "slopes": steps[:8].imag / 1e-30,
         "starts": [mouth_model.start_of(each) for each in discs],
     }
 

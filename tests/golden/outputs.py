@@ -53,7 +53,7 @@ from lampest.apps.recognition import breathing
 from lampest.apps.recognition.attachment import Attachment
 from lampest.apps.recognition.detect import pressed
 from lampest.apps.recognition.detect.answer import Detected, write_detections
-from lampest.apps.recognition.detect.of_results import detect_results
+from lampest.apps.recognition.detect.detection import detect_results
 from lampest.apps.recognition.detect.timeline import timeline
 from lampest.files.process import in_bytes
 from lampest.panel.panel import EachModule, Modules

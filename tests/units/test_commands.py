@@ -43,9 +43,9 @@ from lampest.apps.board.sample import (
 )
 from lampest.apps.live.engine import Engine
 from lampest.apps.live.run import from_recording
-from lampest.apps.recognition.commands import _with_checks
 from lampest.apps.recognition.detect.answer import Detected
 from lampest.apps.recognition.detect.detection import Unchecked
+from lampest.apps.recognition.detect.output import with_checks
 from lampest.apps.studies.study import Row, Study
 from lampest.cli import screen
 from lampest.cli.program import app
@@ -298,13 +298,13 @@ def test_detect_counts_the_checks_that_are_left_to_make(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(screen, "progress", shown)
     answer = Detected("mine", "nothing", 1.0)
-    ready = Unchecked.never(answer)
-    waiting = Unchecked(answer, lambda: ("doubtful",), waits=True)
-    checked = _with_checks([answer] * 3, [waiting, ready, waiting])
+    ready = Unchecked(answer)
+    waiting = Unchecked(answer, lambda: ("doubtful",))
+    checked = with_checks([answer] * 3, [waiting, ready, waiting])
     assert [each.warnings for each in checked] == [("doubtful",), (), ("doubtful",)]
     assert calls == ["checks", (0, 2), (1, 2), (1, 2), (2, 2)]
     calls.clear()
-    assert len(_with_checks([answer], [ready])) == 1 and calls == []
+    assert len(with_checks([answer], [ready])) == 1 and calls == []
 
 
 def test_exhausted_memory_gives_one_sentence(

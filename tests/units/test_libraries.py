@@ -17,8 +17,8 @@ import pytest
 from promises import promise
 
 import lampest
-from lampest.apps.recognition.commands import _tell
 from lampest.apps.recognition.detect.answer import Detected
+from lampest.apps.recognition.detect.output import tell
 from lampest.files.errors import PACKAGES, InputError, extra
 
 HOUSE = Path(__file__).parents[2]
@@ -121,8 +121,8 @@ def test_reports_lack_pictures_and_plots_name_the_extra_without_matplotlib(
 def test_detect_writes_everything_but_pictures_without_matplotlib(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("lampest.apps.recognition.commands.find_spec", lambda name: None)
-    _tell(
+    monkeypatch.setattr("lampest.apps.recognition.detect.output.find_spec", lambda name: None)
+    tell(
         [Detected.unknown("mat", "one frame shows no change; three are needed")],
         [],
         tmp_path,
@@ -142,9 +142,9 @@ def test_detect_prints_its_warnings_before_it_draws(
         printed.extend(capsys.readouterr())
         return [folder / "picture.png"]
 
-    monkeypatch.setattr("lampest.apps.recognition.commands._draw", draw)
+    monkeypatch.setattr("lampest.apps.recognition.detect.output.draw", draw)
     answer = Detected.unknown("mat", "one frame shows no change; three are needed")
-    _tell([replace(answer, warnings=("of the check",))], [], tmp_path, everything=False)
+    tell([replace(answer, warnings=("of the check",))], [], tmp_path, everything=False)
     assert "of the check" in "".join(printed) and "picture.png" in capsys.readouterr().out
 
 

@@ -10,7 +10,6 @@ from lampest.apps.film import tare
 from lampest.apps.recognition import (
     breath,
     breathing,
-    contacts,
     hypotheses,
     pumping,
     suction,
@@ -92,9 +91,9 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     ],
     "docs/apps/recognition/detect.md": [
         ("by three standard deviations, by 5 %", levels.NOISE_REACH, 3),
-        ("and by a twentieth of the strongest change", contacts.GHOST_SHARE, 0.05),
-        ("falls below three tenths of the weaker one's", contacts.FAINT_SHARE, 0.3),
-        ("at less than 15 % of the strongest", contacts.SMALL_SHARE, 0.15),
+        ("and by a twentieth of the strongest change", suction.GHOST_SHARE, 0.05),
+        ("falls below three tenths of the weaker one's", suction.FAINT_SHARE, 0.3),
+        ("at less than 15 % of the strongest", suction.SMALL_SHARE, 0.15),
         ("Panels of more than 1024 cells", watch.MAX_CELLS, 1024),
     ],
     "docs/howto/methods.md": [

@@ -46,7 +46,7 @@ def touched(recording: Recording) -> bool:
     supply = FrameNoise(
         scene, len(unloaded.value), MAX_GAIN, NO_RIPPLE, NO_RIPPLE, motion=np.zeros(3)
     )
-    setup = WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0)).with_noise(supply)
+    setup = WatchSetup.of(scene, ModelErrors().of_scene(scene, 0.0), noise=supply)
     sigma = np.min(np.where(unloaded.plain, unloaded.known_sigma, np.inf), axis=0)
     values = unloaded.plain_values
     return Watch.begin(setup, unloaded.mean().value, sigma, values, 0.0).touched(values)

@@ -5,25 +5,21 @@ Each attachment has the probabilities that it sucks, breathes and pumps.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import compress
 from math import hypot, inf
-from typing import Any
 
 import numpy as np
 from scipy.special import expit, logit
 
 from lampest.apps.recognition.breath import Pair, breath
 from lampest.apps.recognition.breathing import MAX_LOG_ODDS, MIN_WINDOW_S, WINDOW_S, Breathing
-from lampest.apps.recognition.contacts import contacts_of
-from lampest.apps.recognition.hold import Hold
+from lampest.apps.recognition.detector import Verdict
 from lampest.apps.recognition.hypotheses import SILENT_LOG_ODDS
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.pumping import BLOCK_S, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
-from lampest.apps.recognition.suction import UNRISEN, inner_cells, rise_odds, under
+from lampest.apps.recognition.suction import UNRISEN, contacts_of, inner_cells, rise_odds, under
 from lampest.apps.recognition.swings import Patterns
-from lampest.apps.recognition.verdict import Verdict
-from lampest.apps.recognition.watch_parts import Frames
+from lampest.apps.recognition.watch_parts import Frames, Hold
 from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Mask, Panel
 
@@ -161,7 +157,7 @@ class Attachment:
         Its odds are the product of those of breath and of pumps.
         """
         # one mouth in ten never shows its breath; ln odds of pumps add
-        breathes = max(float(logit(self.breathes)), -SILENT_LOG_ODDS)
+        breathes = max(logit(self.breathes), -SILENT_LOG_ODDS)
         return float(expit(breathes + self._pumping))
 
     @property
@@ -188,7 +184,7 @@ class Attachment:
         """Diameter, mm; for a load without a diameter the edge of a square of its area."""
         return self.size if self.diameter_mm or self.area_mm2 is None else self.area_mm2[0] ** 0.5
 
-    def distance(self, place: tuple[float, float]) -> float:
+    def distance(self, place: tuple[float, float] | Array) -> float:
         """Return the distance to a place, mm."""
         return hypot(self.place[0] - place[0], self.place[1] - place[1])
 
@@ -197,9 +193,8 @@ class Attachment:
 
         Such a contact is a part of the rim.
         """
-        if self.diameter_mm is None or contact.diameter_mm is not None:
-            return False
-        return self.distance(contact.place) < self.size / 2 + contact.x_mm[1]
+        reach = self.size / 2 + contact.x_mm[1]
+        return contact.diameter_mm is None and self.distance(contact.place) < reach < inf
 
     def adjoins(self, load: "Attachment") -> bool:
         """Return whether the centre of one of two loads lies within the width of the other."""
@@ -229,14 +224,7 @@ class Attachment:
         pattern = whitening @ (frame.slope() @ self.held.change.ravel() / frame.measured.ravel())
         course = [logarithm @ (whitening.T @ pattern) for _, logarithm in frames]
         left = course < np.mean([course[0], course[-1]])
-        return self.ended(frames[int(np.argmax(left))][0])
-
-    def with_new_reference(self) -> "Attachment":
-        """Return the attachment whose next sample of suction begins anew.
-
-        The readings have changed by something else.
-        """
-        return self if self.track is None else replace(self, track=self.track.interrupted())
+        return self.ended(frames[np.argmax(left)][0])
 
     def sucks_with(self, look: float) -> float:
         """Return the probability that it sucks after a further recognition, which alone gives one.
@@ -244,9 +232,9 @@ class Attachment:
         The odds are multiplied. Recognitions without a risen cell do not add up beyond UNRISEN: a
         suction that raises no cell raises none at any time.
         """
-        before = min(float(logit(self.sucks)), MAX_LOG_ODDS)
-        odds = float(logit(look))
-        least = min(float(logit(UNRISEN)), odds)
+        before = min(logit(self.sucks), MAX_LOG_ODDS)
+        odds = logit(look)
+        least = min(logit(UNRISEN), odds)
         return float(expit(np.clip(before + odds, least, MAX_LOG_ODDS)))
 
     def beside(self, frame: Observation) -> "Attachment":
@@ -258,7 +246,7 @@ class Attachment:
         if self.held is None:
             return self
         look = expit(min(rise_odds(frame, self.held.risen), MAX_LOOK_LOG_ODDS))
-        return replace(self, sucks=self.sucks_with(float(look)))
+        return replace(self, sucks=self.sucks_with(look))
 
     def continued(self, later: "Attachment") -> "Attachment":
         """Return the later state of the same load, with its history."""
@@ -268,11 +256,7 @@ class Attachment:
         # a move: farther than three standard deviations of the distance, and than 3 mm
         distance_sd = max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         is_far = self.distance(later.place) > NOISE_REACH * distance_sd
-        moved_s = self.moved_s
-        placed_s = self.placed_s
-        if is_far and later.since_s > self.placed_s:
-            moved_s = (*moved_s, later.since_s)
-            placed_s = later.since_s
+        moves = is_far and later.since_s > self.placed_s
         begins_to_suck = self.sucks_s is None and later.sucks > 0.5
         suctions = (*self.suctions, *later.suctions)
         pulls = [pair for pair in (self.pulled_kpa, later.pulled_kpa) if pair is not None]
@@ -280,8 +264,8 @@ class Attachment:
             later,
             since_s=self.since_s,
             sucks_s=later.since_s if begins_to_suck else self.sucks_s,
-            moved_s=moved_s,
-            placed_s=placed_s,
+            moved_s=(*self.moved_s, *([later.since_s] * moves)),
+            placed_s=later.since_s if moves else self.placed_s,
             suctions=suctions[::2] if len(suctions) > MAX_SUCTIONS else suctions,
             # the one that exceeds the other by more than its error
             pulled_kpa=min(pulls, key=sum, default=None),
@@ -313,17 +297,17 @@ class Attachment:
         before = self.breath.parted(steps)
         unjudged = replace(self, breath=before)
         begin = max(before.full_s, self.placed_s)
-        times = np.array([at for at, _ in frames if at > begin])
-        if self.patterns is None or not times.size:
+        recent = [frame for frame in frames if frame[0] > begin]
+        if self.patterns is None or not recent:
             return unjudged
-        last = float(times[-1])
-        if last - times[0] < MIN_WINDOW_S or last - before.judged_s < JUDGED_S:
+        last = recent[-1][0]
+        if last - recent[0][0] < MIN_WINDOW_S or last - before.judged_s < JUDGED_S:
             return unjudged
-        logarithms = np.array([logarithm for at, logarithm in frames if at > begin])
+        times, logarithms = map(np.array, zip(*recent, strict=True))
         interval = SteadyFrames.of(times, logarithms, steps)
         if not interval.times.size:
             return unjudged
-        full = float(np.ptp(interval.times)) > WINDOW_S - 2.5 * interval.period
+        full = bool(np.ptp(interval.times) > WINDOW_S - 2.5 * interval.period)
         changes = changes_without_water(interval, verdict.frame, verdict.change) @ whitening.T
         shown = breath(interval, changes, self.patterns)
         return replace(self, breath=before.after(shown, last, full=full))
@@ -336,17 +320,17 @@ class Attachment:
         """
         if self.patterns is None or self.sucks <= 0.5:
             return self
-        track = self.track
         moves = len(self.moved_s)
         time = frames[-1][0]
-        holds = track is not None and track.moves == moves
-        begin = track.since_s if track is not None and holds else max(self.placed_s, frames[0][0])
+        track = self.track if self.track is not None and self.track.moves == moves else None
+        begin = max(self.placed_s, frames[0][0]) if track is None else track.since_s
         block = np.array([logarithm for at, logarithm in frames if at > begin])
         if time - begin < BLOCK_S or len(block) < MIN_SAMPLE_FRAMES:
             return self
-        if track is None or not holds:
+        if track is None:
             weights = self.patterns.suction_weights(whitening)
-            track = Pumping.begin(weights, np.log(frame.measured.ravel()), begin, moves, track)
+            reference = np.log(frame.measured.ravel())
+            track = Pumping.begin(weights, reference, begin, moves, self.track)
         return replace(self, track=track.after(block, time))
 
 
@@ -371,28 +355,28 @@ def attachments_of(
     """
     frame = verdict.frame
     change = frame.free_map
-    moved = np.abs(change) > NOISE_REACH * np.hypot(frame.free_sd, _drift_sd(frame))
-    attachments = list[Attachment]()
+    moved = np.abs(change) > NOISE_REACH * np.hypot(frame.free_sd, frame.drift_sd)
+    loads = list[Attachment]()
     for disc, effects in zip(verdict.discs, patterns, strict=True):
         covered = under(frame.panel, disc.disc)
-        numbers: dict[str, Any] = dict(disc.report)
-        suction = numbers.pop("suction_kpa")
-        load = replace(
-            _of_cells(verdict, moved & covered, since),
-            held=Hold(np.where(covered, change, 0.0), frame.free_sd),
-            patterns=effects,
-            suctions=(suction,),
-            pulled_kpa=suction,
-            **numbers,
+        x_mm, y_mm, diameter_mm, suction = disc.report.values()
+        loads.append(
+            replace(
+                _of_cells(verdict, moved & covered, since),
+                held=Hold(np.where(covered, change, 0.0), frame.free_sd),
+                patterns=effects,
+                x_mm=x_mm,
+                y_mm=y_mm,
+                diameter_mm=diameter_mm,
+                suctions=(suction,),
+                pulled_kpa=suction,
+            )
         )
-        attachments.append(_judged(load, verdict))
-    if attachments:
-        return attachments
-    groups = _contacts(frame)
-    if any_form:
-        return [_of_cells(verdict, group, since) for group in groups]
-    groups = _touching(frame.panel, groups)
-    return [_judged(_of_cells(verdict, group, since), verdict) for group in groups]
+    if not loads:
+        groups = _contacts(frame)
+        groups = groups if any_form else _touching(frame.panel, groups)
+        loads = [_of_cells(verdict, group, since) for group in groups]
+    return loads if any_form else [_judged(load, verdict) for load in loads]
 
 
 def _of_cells(verdict: Verdict, group: Mask, since: float) -> Attachment:
@@ -429,17 +413,17 @@ def _judged(load: Attachment, verdict: Verdict) -> Attachment:
 
     A contact without a diameter is a disc of the same area.
     """
+    frame = verdict.frame
     round_mm = load.width if load.diameter_mm else load.width * (4 / np.pi) ** 0.5
-    sucks = verdict.sucks_at(load.place, round_mm)
-    small = sucks <= 0.5 and not inner_cells(verdict.frame.panel, load.place, round_mm).any()
-    odds = 0.0 if small else np.clip(logit(sucks), -MAX_LOOK_LOG_ODDS, MAX_LOOK_LOG_ODDS)
-    begins = load.since_s if load.diameter_mm and sucks > 0.5 else None
-    return replace(load, sucks=float(expit(odds)), small=small, sucks_s=begins)
-
-
-def _drift_sd(frame: Observation) -> float:
-    """Return the standard deviation of each cell's drift since the unloaded frames."""
-    return frame.baseline.model_errors.resting_sd(frame.seconds)
+    inner = inner_cells(frame.panel, load.place, round_mm)
+    places = [disc.place for disc in verdict.discs]
+    near = [place.odds for place in places if load.distance(place.centre) < round_mm / 2]
+    # A load without a cell that would show its suction has even odds.
+    odds = max(near, default=min(rise_odds(frame, inner), 0.0))
+    look = float(expit(np.clip(odds, -MAX_LOOK_LOG_ODDS, MAX_LOOK_LOG_ODDS)))
+    begins = load.since_s if load.diameter_mm and odds > 0 else None
+    small = not near and not inner.any()
+    return replace(load, sucks=look, small=small, sucks_s=begins)
 
 
 def _contacts(frame: Observation) -> list[Mask]:
@@ -450,14 +434,13 @@ def _contacts(frame: Observation) -> list[Mask]:
     with large pull-ups, the standard deviation of a pressed cell does not show whether it is
     pressed.
     """
-    sd = np.hypot(frame.mean_sd, _drift_sd(frame))
+    sd = np.hypot(frame.mean_sd, frame.drift_sd)
     least = frame.free.misfit + SIGNIFICANT**2
-    contacts = list[Mask]()
-    for group in contacts_of(frame.panel, frame.free_map, sd):
-        others = np.where(group, 0.0, 1.0)
-        if frame.cells(frame.free_map * others, others.ravel()).misfit > least:
-            contacts.append(group)
-    return contacts
+    return [
+        group
+        for group in contacts_of(frame.panel, frame.free_map, sd)
+        if frame.cells(frame.free_map * ~group, 1.0 - group.ravel()).misfit > least
+    ]
 
 
 def _touching(panel: Panel, contacts: Sequence[Mask]) -> list[Mask]:
@@ -465,18 +448,15 @@ def _touching(panel: Panel, contacts: Sequence[Mask]) -> list[Mask]:
 
     A ring is one load, and the feet on a mat are several.
     """
-    x, y = panel.places_mm
+    x, y = panel.places_mm / panel.pitch_mm
     joined = list[Mask]()
     for contact in contacts:
-        distances = np.array(
-            [
-                np.hypot(x[contact, None] - x[other], y[contact, None] - y[other]).min()
-                for other in joined
-            ]
-        )
-        touching = distances < CORNER_PITCHES * panel.pitch_mm
-        whole = np.any([contact, *compress(joined, touching)], axis=0)
-        joined = [*compress(joined, ~touching), whole]
+        parts = [contact]
+        apart = list[Mask]()
+        for other in joined:
+            distances = np.hypot(x[contact, None] - x[other], y[contact, None] - y[other])
+            (parts if distances.min() < CORNER_PITCHES else apart).append(other)
+        joined = [*apart, np.any(parts, axis=0)]
     return joined
 
 
@@ -510,15 +490,13 @@ def continued_by(
     attachments = list(before)
     unmatched = [number for number, load in enumerate(before) if load.present]
     kept = list[Attachment]()
+
+    def distances(load: Attachment) -> list[float]:
+        return [attachments[number].distance(load.place) for number in unmatched]
+
     # Greedy matching: the load with the nearest attachment first, within the larger width of both.
-    distances = [
-        min((attachments[number].distance(load.place) for number in unmatched), default=inf)
-        for load in loads
-    ]
-    for load in (loads[number] for number in np.argsort(distances, kind="stable")):
-        near = min(
-            unmatched, key=lambda number: attachments[number].distance(load.place), default=None
-        )
+    for load in sorted(loads, key=lambda load: min(distances(load), default=inf)):
+        near = unmatched[np.argmin(distances(load))] if unmatched else None
         if near is not None and attachments[near].adjoins(load):
             former = attachments[near]
             shown = former.beside(frame)

@@ -107,7 +107,11 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
     suction: Array = np.ones(len(interval.times))
     spans: list[Mask] = [np.ones(len(interval.times), dtype=bool)]
     if interval.part.any():
-        suction = _relative_suction(interval, changes, patterns)
+        # A breath swings by a share of the suction. While that is pulled, it is larger, and so are
+        # the swings.
+        level = changes @ patterns.suction_weights(np.eye(changes.shape[1]))
+        means = np.bincount(interval.part, level) / np.bincount(interval.part)
+        suction = np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part]
         spans += [interval.part == number for number in range(interval.part.max() + 1)]
     breaths = [
         _steady_breath(interval.only(span), changes[span], patterns, suction[span])
@@ -142,42 +146,80 @@ def _steady_breath(
     if len(times) < MIN_FRAMES or rate < MIN_RATE_HZ:
         return None
     lasted = float(times[-1] - times[0])
-    trend = interval.trend()
-    own_patterns, changes = patterns.beside_others(_without(trend, recorded))
+    with_bodies = interval.without_trend(recorded)
+    own_patterns, changes = patterns.beside_others(with_bodies)
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), RATE_STEP / lasted)
     even_waves = _waves(hertz, times)
-    waves = _without(trend, suction[:, None] * even_waves)
-    axes, gain = _axes(waves)
-    wide_axes, wide_gain = _axes(_without(trend, suction[:, None] * _wandering(hertz, times)))
-    leak_axes, leak_gain = _axes(_without(trend, interval.ramps()[1]).T[:, :, None])
+    waves = interval.without_trend(suction[:, None] * even_waves)
+    even = _Axes.of(waves)
     level = changes @ own_patterns.weights(BREATH.largest, 1.0, EDGE_SD)
-    pull = interval.pulled(level, axes)
-    leak = interval.leaking(level, axes)
-    if interval.leak_s == np.inf and leak.gain > max(pull.gain, SIGNIFICANT**2):
-        return _steady_breath(interval._replace(leak_s=leak.times[0]), recorded, patterns, suction)
-    if pull.gain > SIGNIFICANT**2 and pull.times:
-        parts, remaining = interval.parted(pull.times)
+    pulled_s, pull = interval.pulled(level, even.axes)
+    leaking_s, leak = interval.leaking(level, even.axes)
+    if interval.leak_s == np.inf and leak > max(pull, SIGNIFICANT**2):
+        return _steady_breath(interval._replace(leak_s=leaking_s), recorded, patterns, suction)
+    if pull > SIGNIFICANT**2 and pulled_s:
+        parts, remaining = interval.parted(pulled_s)
         return breath(parts, recorded[remaining], patterns)
+    within = (times - times[0]) / lasted
+    faded = even_waves * (np.sin(np.pi * within) ** 2)[:, None]
     window = _Window(
-        times=times,
+        lasted=lasted,
+        within=within,
         hertz=hertz,
         waves=waves,
-        axes=axes,
-        gain=gain,
-        wide_axes=wide_axes,
-        wide_gain=wide_gain,
-        leak_axes=leak_axes,
-        leak_gain=leak_gain,
-        tapered=_tapered(even_waves, (times - times[0]) / lasted),
+        even=even,
+        wide=_Axes.of(interval.without_trend(suction[:, None] * _wandering(hertz, times))),
+        leak=_Axes.of(interval.without_trend(interval.ramps()[1]).T[:, :, None]),
+        tapered=np.swapaxes(faded / np.linalg.norm(faded, axis=1, keepdims=True), 1, 2),
         changes=changes,
         patterns=own_patterns,
-        with_bodies=_without(trend, recorded),
+        with_bodies=with_bodies,
         bodies=patterns,
+        freedom=len(times) - interval.trend().shape[1],
     )
-    freedom = len(times) - trend.shape[1]
-    breaths = [window.breath(*rates, freedom) for rates in window.rates(level, rate)]
+    breaths = [window.breath(*rates) for rates in window.rates(level, rate)]
     best = max(breaths, key=attrgetter("probability"))
     return replace(best, odds=best.odds - log(len(breaths)))
+
+
+class _Axes(NamedTuple):
+    """Orthonormal axes of waves, and the squares of their singular values.
+
+    Attributes
+    ----------
+    axes : array, shape (rates, n, frames)
+    gain : array, shape (rates, n)
+    """
+
+    axes: Array
+    gain: Array
+
+    @classmethod
+    def of(cls, waves: Array) -> "_Axes":
+        """Return the axes of waves (rates, frames, n)."""
+        axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
+        return cls(np.swapaxes(axes, 1, 2), sizes**2)
+
+    def evidence(self, series: Array, sd: float, freedom: int) -> Array:
+        """Return ln P(s | f) up to a constant, (rates,), summed over σ.
+
+        Parameters
+        ----------
+        series : array, shape (frames,)
+            s.
+        sd : float
+            A.
+        freedom : int
+            Degrees of freedom of s.
+        """
+        amplitude = self.axes @ series
+        noise = np.geomspace(1e-4, 1.0, 25)[:, None, None] ** 2
+        wide = noise + sd**2 * self.gain
+        remaining = series @ series - (amplitude**2).sum(axis=1)
+        # amplitude ~ N(0, σ² + A² gain), all other directions ~ N(0, σ²); axes (noises, rates, n)
+        squares = (amplitude**2 / wide).sum(axis=2) + np.maximum(remaining, 0.0) / noise[..., 0]
+        others = (freedom - amplitude.shape[1]) * np.log(noise[..., 0])
+        return np.asarray(logsumexp(-0.5 * (squares + np.log(wide).sum(axis=2) + others), axis=0))
 
 
 class _Window(NamedTuple):
@@ -185,20 +227,19 @@ class _Window(NamedTuple):
 
     Attributes
     ----------
-    times : array, shape (frames,)
-        s.
+    lasted : float
+        Duration, s.
+    within : array, shape (frames,)
+        Time within the window, from 0 to 1.
     hertz : array, shape (rates,)
         Rates in Hz.
     waves : array, shape (rates, frames, 2)
         Sine and cosine in proportion to the suction.
-    axes, gain : arrays, shapes (rates, 2, frames) and (rates, 2)
-        Their orthonormal axes, and the squares of the singular values.
-    wide_axes, wide_gain : arrays, shapes (rates, n, frames) and (rates, n)
-        The same of waves whose rate wanders.
-    leak_axes, leak_gain : arrays, shapes (times, 1, frames) and (times, 1)
-        The same of a suction that falls steadily from a time on.
+    even, wide, leak : _Axes
+        Axes of these waves, of waves whose rate wanders, and of a suction that falls steadily from
+        a time on.
     tapered : array, shape (rates, 2, frames)
-        Waves that fade towards the ends of the window.
+        Waves that fade towards the ends of the window, of unit length.
     changes : array, shape (frames, readings)
         Whitened changes of ln y.
     patterns : Patterns
@@ -206,32 +247,28 @@ class _Window(NamedTuple):
         Changes with those of other loads and bodies.
     bodies : Patterns
         Patterns with these.
+    freedom : int
+        Degrees of freedom of a series in the window.
     """
 
-    times: Array
+    lasted: float
+    within: Array
     hertz: Array
     waves: Array
-    axes: Array
-    gain: Array
-    wide_axes: Array
-    wide_gain: Array
-    leak_axes: Array
-    leak_gain: Array
+    even: _Axes
+    wide: _Axes
+    leak: _Axes
     tapered: Array
     changes: Array
     patterns: Patterns
     with_bodies: Array
     bodies: Patterns
-
-    @property
-    def lasted(self) -> float:
-        """Duration, s."""
-        return float(self.times[-1] - self.times[0])
+    freedom: int
 
     @property
     def swings(self) -> Array:
         """Swings of the readings at every rate, (rates, 2, readings)."""
-        return self.axes @ self.changes
+        return self.even.axes @ self.changes
 
     def rates(self, level: Array, rate: float) -> list[tuple[int, Mask, Mask]]:
         """Return the rates that may be the breath's, with the rates of its background.
@@ -253,14 +290,14 @@ class _Window(NamedTuple):
         elsewhere = np.abs(self.hertz - self.hertz[strongest]) > distance
         rates = [(strongest, np.ones(len(self.hertz), dtype=bool), elsewhere)]
         if elsewhere.any():
-            second = int(np.argmax(elsewhere * ((self.axes @ level) ** 2).sum(axis=1)))
+            second = int(np.argmax(elsewhere * ((self.even.axes @ level) ** 2).sum(axis=1)))
             hertz = self.hertz[second]
             halves = np.array([hertz, hertz / 2, (rate - hertz) / 2])
             apart = np.abs(self.hertz[:, None] - halves) > distance
             rates.append((second, ~apart[:, 0], apart.all(axis=1)))
         return rates
 
-    def breath(self, centre: int, near: Mask, background: Mask, freedom: int) -> Breath:
+    def breath(self, centre: int, near: Mask, background: Mask) -> Breath:
         """Return the breath at one of the rates `near`, each as probable as any rate of all.
 
         Parameters
@@ -269,14 +306,16 @@ class _Window(NamedTuple):
             Number of the rate without which the background is estimated.
         near, background : boolean arrays, shape (rates,)
             Rates of the breath, and of its background.
-        freedom : int
-            Degrees of freedom of a series in the window.
         """
-        mean_gain = float(self.gain.mean())
+        mean_gain = float(self.even.gain.mean())
         swings = self.swings
         # without the wave itself, which gaps between the parts of a window spread over all rates
-        without_wave = self.changes - self.axes[centre].T @ swings[centre]
-        whitening = _whitening(self.tapered[background] @ without_wave)
+        without_wave = self.changes - self.even.axes[centre].T @ swings[centre]
+        # Movements at all rates that the strongest one does not leak into, and noise, are whitened.
+        moved = self.tapered[background] @ without_wave
+        samples = moved.reshape(-1, moved.shape[2])
+        noise = _background(moved) * np.eye(samples.shape[1])
+        whitening = Whitening.of(noise + samples.T @ samples / max(len(samples), 1)).matrix
         steadied = self.patterns.whitened(whitening)
         # A rim that swings less than the suction lets expect cancels it in a mean of both. Weights
         # that leave movements out see such a breath, but less of a faint one; each is as probable.
@@ -285,80 +324,139 @@ class _Window(NamedTuple):
             white @ steadied.weights(BREATHING_SD, 1 / mean_gain, moving)
             for moving in (0.0, EDGE_SD)
         ]
-        odds = [self._odds(suction, near, freedom) for suction in courses]
-        suction = courses[int(np.argmax(odds))]
-        power = near * ((self.axes @ suction) ** 2).sum(axis=1)
+        odds = [self._odds(suction, near) for suction in courses]
+        suction = courses[np.argmax(odds)]
+        power = near * ((self.even.axes @ suction) ** 2).sum(axis=1)
         best = int(np.argmax(power))
-        remaining = max(float(suction @ suction) - power[best], 1e-12) / (freedom - 2)
+        remaining = max(suction @ suction - power[best], 1e-12) / (self.freedom - 2)
         # Rife, Boorstyn, IEEE Trans. IT-20, 1974
         spread = np.sqrt(3 * remaining / max(power[best], 1e-12)) / (np.pi * self.lasted)
-        loud = _background(swings)  # with what the wave leaks into other rates
-        within = (self.times - self.times[0]) / self.lasted
         # a rate is uniform within a step of the grid
         hertz_sd = float(np.hypot(spread, RATE_STEP / self.lasted / 12**0.5))
         return Breath(
             odds=float(logsumexp(odds) - log(len(odds))),
-            suction=_suction(
-                steadied,
-                swings @ whitening.T,
-                mean_gain,
-                self._rates_of(best),
-                self._pushed(best, mean_gain),
-            ),
+            suction=self._suction(steadied, swings @ whitening.T, best),
             hertz=(float(self.hertz[best]), hertz_sd),
-            depth=_depth(self.patterns, self.changes, self.waves[best], within, loud / mean_gain),
+            depth=self._depth(best, _background(swings) / mean_gain),
         )
 
-    def _rates_of(self, best: int) -> Mask:
-        """Return the rates of movements that may oscillate at one rate, (2, rates).
+    def _suction(self, patterns: Patterns, swings: Array, best: int) -> float:
+        """Return the probability that suction oscillates with its rim, against all other causes.
 
-        The first row has the rate itself, the second its half as well, also beyond half the frame
-        rate, because the square of a movement oscillates at twice its rate.
+        Cells beside the load may swing in any case, by the size that explains the swing best at the
+        rate of the suction. Other causes may oscillate at half the rate as well, also beyond half
+        the frame rate, because the square of a movement oscillates at twice its rate.
+
+        Parameters
+        ----------
+        patterns : Patterns
+        swings : array, shape (rates, 2, readings)
+            Projections of the readings on sine and cosine, with noise of unit variance.
+        best : int
+            Number of the rate of the suction.
         """
         hertz = self.hertz[best]
-        frames_hz = (len(self.times) - 1) / self.lasted
+        frames_hz = (len(self.within) - 1) / self.lasted
         same = np.abs(self.hertz - hertz) < 1 / (2 * self.lasted)
         halves = np.array([hertz / 2, (frames_hz - hertz) / 2])[:, None]
         halved = (np.abs(self.hertz - halves) < 1 / (4 * self.lasted)).any(axis=0)
-        return np.stack([same, same | halved])
+        own = swings[same]
+        root = self.even.gain.mean() ** 0.5  # swings at unit amplitude
+        by_rate = logsumexp(_explained(root * patterns.own, BREATH.largest, own), axis=0)
+        beside = root * patterns.beside
+        by_size = _explained(beside, BESIDE.largest, own[np.argmax(by_rate)][None])
+        size = _sizes(BESIDE.largest)[np.argmax(by_size)]
+        whitening = Whitening.of(np.eye(len(beside)) + size**2 * beside @ beside.T).matrix
 
-    def _pushed(self, best: int, gain: float) -> float:
+        def evidence(cause: Cause, rates: Mask) -> float:
+            pattern = root * whitening @ getattr(patterns, cause.pattern)
+            explained = _explained(pattern, cause.largest, swings[rates] @ whitening.T)
+            return float(logsumexp(explained, axis=0).max()) - log(SIZES)
+
+        breathes = evidence(BREATH, same)
+        pushed = self._pushed(best)
+        # 1/w = 1 + Σ_causes (E_cause/E_breath)^½/odds
+        against = [
+            EVIDENCE_SHARE * (explained - breathes)
+            + np.log(pushed / cause.odds_adjoined + (1 - pushed) / cause.odds)
+            for cause, explained in (
+                (RIM, evidence(RIM, same | halved)),
+                (MOVES, evidence(MOVES, same | halved)),
+                (BESIDE, 0.0),
+            )
+        ]
+        return float(expit(-logsumexp(against)))
+
+    def _pushed(self, best: int) -> float:
         """Return the probability that a body that adjoins the load swings at one rate.
 
         It moves the load at the rates at which it moves itself.
         """
         if not self.bodies.adjoining.size:
             return 0.0
+        gain = self.even.gain.mean()
         breathing = BREATHING_SD**2 * gain * self.bodies.own @ self.bodies.own.T
         whitening = Whitening.of(np.eye(len(breathing)) + breathing)
-        swing = whitening @ (self.axes[best] @ self.with_bodies).T
+        swing = whitening @ (self.even.axes[best] @ self.with_bodies).T
         adjoining = whitening @ (gain**0.5 * self.bodies.adjoining)
         by_size = _explained(adjoining, BREATH.largest, swing.T[None])
-        evidence = float(logsumexp(by_size)) - log(SIZES)
+        evidence = logsumexp(by_size) - log(SIZES)
         return float(expit(EVIDENCE_SHARE * evidence - log(RIM.odds)))
 
-    def _odds(self, suction: Array, near: Mask, freedom: int) -> float:
+    def _odds(self, suction: Array, near: Mask) -> float:
         """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD, or a leak.
 
         `suction` (frames,) is the relative suction, `near` (rates,) has the rates of the breath.
         """
         breathing, jitter = (
-            logsumexp(_evidence(suction, self.wide_axes, self.wide_gain, sd, freedom)[near])
-            - log(near.sum())
+            logsumexp(self.wide.evidence(suction, sd, self.freedom)[near]) - log(near.sum())
             for sd in (BREATHING_SD, TREMBLE_SD)
         )
-        leaks = _evidence(suction, self.leak_axes, self.leak_gain, LEAK_SD, freedom)
+        leaks = self.leak.evidence(suction, LEAK_SD, self.freedom)
         leaking = logsumexp(leaks) - log(len(leaks))
         steady = np.logaddexp(log(1 - LEAK_SHARE) + jitter, log(LEAK_SHARE) + leaking)
         return float(breathing - steady + np.log(near.mean()))
 
+    def _depth(self, best: int, noise: float) -> Pair:
+        """Return the relative amplitude of the suction and its standard deviation.
 
-def _without(trend: Array, series: Array) -> Array:
-    """Return series (…, frames, n) without their projection on a trend.
+        The amplitude and the phase of the wave may change linearly over the window. The readings
+        show the depth times an unknown gain g of the film, which is taken as log-normal with mean 1
+        and variance v. The median of 1/g is √(1 + v), by which the depth is multiplied. A film with
+        hysteresis shows the share 1 − RESPONSE_SD of a swing, by which it is divided.
 
-    The trend is an orthonormal basis (frames, k).
-    """
-    return series - trend @ (trend.T @ series)
+        Parameters
+        ----------
+        best : int
+            Number of the rate.
+        noise : float
+            Variance of the amplitude in each reading.
+        """
+        waves = self.waves[best]
+        # times the standard deviation of the amplitudes' prior
+        changing = 12**0.5 * (self.within[:, None] - 0.5) * waves
+        basis = BREATH.largest * np.hstack([waves, changing])
+        depth = BREATHING_SD
+        film = variance = 0.0
+        square = basis.T @ basis
+        for _ in range(DEPTH_ROUNDS):
+            weights = self.patterns.weights(depth, noise)
+            series = self.changes @ weights
+            # amplitudes with the prior N(0, largest²), which near half the frame rate alone decides
+            freedom = len(series) - 8  # four numbers here, four of trend
+            residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
+            variance_left = max(float(residual @ residual) / freedom, 1e-12)
+            known = Information(square / variance_left, basis.T @ series / variance_left)
+            coefficients = BREATH.largest * known.mean
+            variances = BREATH.largest**2 * np.diag(known.covariance)
+            # A² from all four coefficients, less the noise of the two of linear change
+            power = float(coefficients @ coefficients - variances[2:].sum())
+            depth = max(power, TREMBLE_SD**2) ** 0.5
+            film = float(np.sum((weights @ self.patterns.own[:, 1:]) ** 2))
+            film += RESPONSE_SD**2 + self.patterns.curve**2
+            variance = depth**2 * film + float(variances[:2].mean())
+        scale = (1 + film) ** 0.5 / (1 - RESPONSE_SD)
+        return scale * depth, scale * variance**0.5
 
 
 def _waves(hertz: Array, times: Array) -> Array:
@@ -381,24 +479,6 @@ def _wandering(hertz: Array, times: Array) -> Array:
     return np.concatenate(waves, axis=2)
 
 
-def _axes(waves: Array) -> tuple[Array, Array]:
-    """Return orthonormal axes of waves (rates, frames, n), and squares of their singular values.
-
-    The shapes are (rates, n, frames) and (rates, n).
-    """
-    axes, sizes, _ = np.linalg.svd(waves, full_matrices=False)
-    return np.swapaxes(axes, 1, 2), sizes**2
-
-
-def _tapered(waves: Array, within: Array) -> Array:
-    """Return waves (rates, frames, 2) that fade towards the ends of the window.
-
-    The result are unit vectors (rates, 2, frames).
-    """
-    faded = waves * (np.sin(np.pi * within) ** 2)[:, None]
-    return np.swapaxes(faded / np.linalg.norm(faded, axis=1, keepdims=True), 1, 2)
-
-
 def _background(swings: Array) -> float:
     """Return the variance of swings (rates, 2, readings) at most rates.
 
@@ -407,145 +487,6 @@ def _background(swings: Array) -> float:
     if not len(swings):
         return 1.0
     return max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))
-
-
-def _whitening(swings: Array) -> Array:
-    """Return the whitening of movements at all rates, and of noise, (readings, readings).
-
-    `swings` (rates, 2, readings) are those of the readings at rates that the strongest one does not
-    leak into.
-    """
-    samples = swings.reshape(-1, swings.shape[2])
-    noise = _background(swings) * np.eye(samples.shape[1])
-    return Whitening.of(noise + samples.T @ samples / max(len(samples), 1)).matrix
-
-
-def _relative_suction(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Array:
-    """Return the suction of each frame's part over that of the recognised frame, (frames,).
-
-    A breath swings by a share of the suction. While that is pulled, it is larger, and so are the
-    swings.
-    """
-    level = changes @ patterns.suction_weights(np.eye(changes.shape[1]))
-    means = np.bincount(interval.part, level) / np.bincount(interval.part)
-    return np.clip(1 + means, 1 / MAX_PULL, MAX_PULL)[interval.part]
-
-
-def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float) -> Pair:
-    """Return the relative amplitude of the suction and its standard deviation.
-
-    The amplitude and the phase of the wave may change linearly over the window. The readings show
-    the depth times an unknown gain g of the film, which is taken as log-normal with mean 1 and
-    variance v. The median of 1/g is √(1 + v), by which the depth is multiplied. A film with
-    hysteresis shows the share 1 − RESPONSE_SD of a swing, by which it is divided.
-
-    Parameters
-    ----------
-    patterns : Patterns
-    changes : array, shape (frames, readings)
-        Whitened changes of ln y.
-    waves : array, shape (frames, 2)
-        Sine and cosine at the best rate.
-    at : array, shape (frames,)
-        Time within the window, from 0 to 1.
-    noise : float
-        Variance of the amplitude in each reading.
-    """
-    # times the standard deviation of the amplitudes' prior
-    basis = BREATH.largest * np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
-    depth = BREATHING_SD
-    film = variance = 0.0
-    square = basis.T @ basis
-    for _ in range(DEPTH_ROUNDS):
-        weights = patterns.weights(depth, noise)
-        series = changes @ weights
-        # amplitudes with the prior N(0, largest²), which near half the frame rate alone decides
-        freedom = len(at) - 8  # four numbers here, four of trend
-        residual = series - basis @ np.linalg.lstsq(basis, series, rcond=None)[0]
-        variance_left = max(float(residual @ residual) / freedom, 1e-12)
-        known = Information(square / variance_left, basis.T @ series / variance_left)
-        coefficients = BREATH.largest * known.mean
-        variances = BREATH.largest**2 * np.diag(known.covariance)
-        # A² from all four coefficients, less the noise of the two of linear change
-        depth = max(float(coefficients @ coefficients - variances[2:].sum()), TREMBLE_SD**2) ** 0.5
-        film = (
-            float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2 + patterns.curve**2
-        )
-        variance = depth**2 * film + float(variances[:2].mean())
-    scale = (1 + film) ** 0.5 / (1 - RESPONSE_SD)
-    return scale * depth, scale * variance**0.5
-
-
-def _evidence(series: Array, axes: Array, gain: Array, sd: float, freedom: int) -> Array:
-    """Return ln P(s | f) up to a constant, (rates,), summed over σ.
-
-    Parameters
-    ----------
-    series : array, shape (frames,)
-        s.
-    axes : array, shape (rates, n, frames)
-        Orthonormal axes of the waves.
-    gain : array, shape (rates, n)
-        Squares of their singular values.
-    sd : float
-        A.
-    freedom : int
-        Degrees of freedom of s.
-    """
-    amplitude = axes @ series
-    noise = np.geomspace(1e-4, 1.0, 25)[:, None, None] ** 2
-    wide = noise + sd**2 * gain
-    remaining = series @ series - (amplitude**2).sum(axis=1)
-    # amplitude ~ N(0, σ² + A² gain), all other directions ~ N(0, σ²); axes (noises, rates, n)
-    fits = -0.5 * ((amplitude**2 / wide).sum(axis=2) + np.maximum(remaining, 0.0) / noise[..., 0])
-    volume = -0.5 * (
-        np.log(wide).sum(axis=2) + (freedom - amplitude.shape[1]) * np.log(noise[..., 0])
-    )
-    return np.asarray(logsumexp(fits + volume, axis=0))
-
-
-def _suction(patterns: Patterns, swings: Array, gain: float, rates: Mask, pushed: float) -> float:
-    """Return the probability that suction oscillates with its rim, against all other causes.
-
-    Cells beside the load may swing in any case, by the size that explains the swing best at the
-    rate of the suction.
-
-    Parameters
-    ----------
-    patterns : Patterns
-    swings : array, shape (rates, 2, readings)
-        Projections of the readings on sine and cosine, with noise of unit variance.
-    gain : float
-        Square of the swings at unit amplitude.
-    rates : boolean array, shape (2, rates)
-        Rates of the suction, and of other causes.
-    pushed : float
-        Probability that a body beside the load oscillates.
-    """
-    own, others = (swings[which] for which in rates)
-    best = np.argmax(logsumexp(_explained(gain**0.5 * patterns.own, BREATH.largest, own), axis=0))
-    beside = gain**0.5 * patterns.beside
-    by_size = _explained(beside, BESIDE.largest, own[best : best + 1])[:, 0]
-    size = _sizes(BESIDE.largest)[np.argmax(by_size)]
-    whitening = Whitening.of(np.eye(len(beside)) + size**2 * beside @ beside.T).matrix
-
-    def evidence(cause: Cause, swings: Array) -> float:
-        pattern = gain**0.5 * whitening @ getattr(patterns, cause.pattern)
-        by_rate = logsumexp(_explained(pattern, cause.largest, swings @ whitening.T), axis=0)
-        return float(by_rate.max()) - log(SIZES)
-
-    breathes = evidence(BREATH, own)
-    # 1/w = 1 + Σ_causes (E_cause/E_breath)^½/odds
-    against = [
-        EVIDENCE_SHARE * (explained - breathes)
-        + np.log(pushed / cause.odds_adjoined + (1 - pushed) / cause.odds)
-        for cause, explained in (
-            (RIM, evidence(RIM, others)),
-            (MOVES, evidence(MOVES, others)),
-            (BESIDE, 0.0),
-        )
-    ]
-    return float(expit(-logsumexp(against)))
 
 
 def _sizes(largest: float) -> Array:

@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment
+from lampest.apps.recognition.disc_search import NEAR_PITCHES
 from lampest.apps.recognition.leaks import Leaks
-from lampest.apps.recognition.recognition_scene import RecognitionScene, WindowScene
-from lampest.apps.recognition.step_test import NEAR_PITCHES
+from lampest.apps.recognition.model_errors import RecognitionScene, WindowScene
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import Level, WatchSetup
 from lampest.files.process import ONE_BLAS_THREAD
@@ -26,8 +26,7 @@ from lampest.panel.panel import Array, Modules, Numbers, Panel
 CALM_S = 60.0  # s, three time constants of the mean, `FOLLOWS_S`
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
+class Window(NamedTuple):
     """A rectangle of modules.
 
     Attributes
@@ -59,7 +58,7 @@ class Window:
         for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
             first = axis[::size]
             last = axis[size - 1 :: size]
-            reach = min(NEAR_PITCHES * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
+            reach = min(NEAR_PITCHES * scene.panel.pitch_mm, (last[0] - first[0]) / 2)
             distance = np.maximum(first - at, at - last)
             spans.append(np.flatnonzero((distance <= reach) | (distance == distance.min())))
         columns, rows = spans
@@ -79,12 +78,12 @@ class Window:
 
     def in_image(self, load: Attachment) -> Attachment:
         """Return an attachment with its place in the image instead of the window."""
-        x, x_sd = load.x_mm
-        y, y_sd = load.y_mm
-        return replace(load, x_mm=(x + self.x_mm, x_sd), y_mm=(y + self.y_mm, y_sd))
+        x = load.x_mm[0] + self.x_mm, load.x_mm[1]
+        y = load.y_mm[0] + self.y_mm, load.y_mm[1]
+        return replace(load, x_mm=x, y_mm=y)
 
 
-Opened: TypeAlias = tuple[Window, Watch, float]
+Opened = tuple[Window, Watch, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,23 +143,26 @@ class ImageWatch:
                 followed[number] = module.followed(measured[cells], sigma[cells], time)
         for number, module in followed.items():
             if module.present and number not in under_windows(opened):
-                window = Window.about(self.setup.scene, self._place(number, module))
+                # where the module's readings changed most
+                corner = self.setup.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
+                search = module.setup.detector.search(module.setup.scene.panel)
+                scores = module.test.scores(module.level.mean - module.rest.mean)
+                place = corner + search.places[np.argmax(scores)]
+                window = Window.about(self.setup.scene, place)
                 opened.append((window, self._begun(window, sigma), time))
         pushed = list[Opened]()
         for window, watch, touched_s in opened:
             watch = watch.push(measured[window.cells], sigma[window.cells], time)
             pushed.append((window, watch, time if watch.present else touched_s))
-        under = {
-            number: self.modules[number] for number in under_windows(opened) & self.modules.keys()
-        }
-        image = replace(self, modules={**followed, **under}, opened=tuple(pushed))
+        under = under_windows(opened) & self.modules.keys()
+        modules = followed | {number: self.modules[number] for number in under}
+        image = replace(self, modules=modules, opened=tuple(pushed))
         return replace(image, attachments=image._merged())._closed(time) if pushed else image
 
     def ended(self) -> "ImageWatch":
         """Return the watch once it has ended, as `Watch.ended`."""
-        ended = replace(
-            self, opened=tuple((window, watch.ended(), at) for window, watch, at in self.opened)
-        )
+        opened = tuple((window, watch.ended(), at) for window, watch, at in self.opened)
+        ended = replace(self, opened=opened)
         return replace(ended, attachments=ended._merged())
 
     @property
@@ -209,13 +211,6 @@ class ImageWatch:
         uncovered = (watch for number, watch in self.modules.items() if number not in covered)
         return [*(watch for _, watch, _ in self.opened), *uncovered]
 
-    def _place(self, number: int, watch: Watch) -> Array:
-        """Return the place (x, y) in the image, mm, where a module's readings changed most."""
-        corner = self.setup.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
-        search = watch.setup.detector.search(watch.setup.scene.panel)
-        strongest = int(np.argmax(watch.test.scores(watch.level.mean - watch.rest.mean)))
-        return np.asarray(corner + search.places[strongest])
-
     def _begun(self, window: Window, sigma: Array) -> Watch:
         """Return the watch of a new window, with the joined states of its modules.
 
@@ -239,7 +234,7 @@ class ImageWatch:
             np.zeros((0, *layout.shape)),
             max(part.rest.until_s for part in parts.values()),
         )
-        loudest = max(float(part.test.loud.mean()) for part in parts.values())
+        loudest = max(part.test.loud.mean() for part in parts.values())
         begun_s = max(part.level.until_s for part in parts.values())
         return replace(
             start,
@@ -256,10 +251,11 @@ class ImageWatch:
         Their modules take over the states.
         """
         opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
-        calm = tuple(opening for opening in self.opened if time - opening[2] >= CALM_S)
         covered = under_windows(opened)
         modules = dict(self.modules)
-        for window, watch, _ in calm:
+        for window, watch, touched_s in self.opened:
+            if time - touched_s < CALM_S:
+                continue
             layout = window.scene.panel.layout
             images = layout.split(levels_of(watch).reshape(4, *layout.shape))
             for number, levels in zip(window.numbers, np.swapaxes(images, 0, 1), strict=True):
@@ -284,22 +280,21 @@ class ImageWatch:
             for window, watch, _ in self.opened
             for load in watch.attachments
         ]
-        # nearest to its window's middle first; equal loads of other windows are dropped
-        loads.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
-        merged = list[tuple[Window, Attachment]]()
-        for window, load in loads:
+        # nearest to its window's middle first, then those that have left; equal loads of others are
+        # dropped
+        loads.sort(key=lambda pair: pair[1].distance(pair[0].middle))
+        past = ((None, load) for load in self.attachments if not load.present)
+        merged = list[tuple[Window | None, Attachment]]()
+        for window, load in (*loads, *past):
             if not any(
-                neighbour is not window and _same_load(load, nearer) for neighbour, nearer in merged
+                _same_load(load, nearer) for neighbour, nearer in merged if neighbour is not window
             ):
                 merged.append((window, load))
-        present = [load for _, load in merged]
-        past = [
-            load
-            for load in self.attachments
-            if not load.present and not any(_same_load(load, late) for late in present)
-        ]
         return tuple(
-            sorted([*past, *present], key=lambda load: (load.since_s, load.x_mm, load.y_mm))
+            sorted(
+                (load for _, load in merged),
+                key=lambda load: (load.since_s, load.x_mm, load.y_mm),
+            )
         )
 
 

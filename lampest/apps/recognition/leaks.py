@@ -43,7 +43,21 @@ def leaks_of(frame: Observation) -> Leaks | None:
     circuit is linearised once, so that a large leak needs several calls.
     """
     known = frame.baseline.leaks
-    further = [leak for leak in _possible(frame) if all(leak.lines != own.lines for own in known)]
+    # Further leaks are between lines of which MIN_FALLEN of the cells have fallen.
+    panel = frame.panel
+    fallen = panel.present & (frame.free_map < -NOISE_REACH * frame.free_sd)
+    shares = [
+        fallen.sum(axis=axis) / np.maximum(panel.present.sum(axis=axis), 1) for axis in (1, 0)
+    ]
+    leaking = np.concatenate(shares) >= MIN_FALLEN
+    further = [
+        kind(lines)
+        for kind in line_effects()
+        if kind.key == "leaks"
+        for lines in kind.places(*panel.shape)
+        if all(leaking[line] and leaking[line + 1] for line in lines)
+        and all(lines != own.lines for own in known)
+    ]
     if not known and not further:
         return None
     change = frame.free_map.ravel()
@@ -62,7 +76,7 @@ def leaks_of(frame: Observation) -> Leaks | None:
             least, moved, best, sizes = lower, still_moved, (*known, leak), beside
     if not best or not mostly_still(moved):
         return None
-    mean, covariance = sizes.posterior(away_from_changed(~moved, frame.panel.shape))
+    mean, covariance = sizes.posterior(away_from_changed(~moved, panel.shape))
     clear = np.abs(mean) > NOISE_REACH * np.sqrt(np.diag(covariance))
     steps = np.where(clear, mean, 0.0)[1:]
     stepped = [
@@ -71,23 +85,6 @@ def leaks_of(frame: Observation) -> Leaks | None:
     ]
     remaining = tuple(leak for leak in stepped if leak.size > 0)
     return None if remaining == known else remaining
-
-
-def _possible(frame: Observation) -> list[LineEffect]:
-    """Return the leaks between lines of which MIN_FALLEN of the cells have fallen."""
-    panel = frame.panel
-    fallen = panel.present & (frame.free_map < -NOISE_REACH * frame.free_sd)
-    shares = [
-        fallen.sum(axis=axis) / np.maximum(panel.present.sum(axis=axis), 1) for axis in (1, 0)
-    ]
-    leaking = np.concatenate(shares) >= MIN_FALLEN
-    return [
-        kind(lines)
-        for kind in line_effects()
-        if kind.key == "leaks"
-        for lines in kind.places(*panel.shape)
-        if all(leaking[line] and leaking[line + 1] for line in lines)
-    ]
 
 
 def _column(frame: Observation, leak: LineEffect) -> Array:

@@ -1,18 +1,96 @@
-"""Standard deviations of what is not measured on a panel: films, circuits, drift."""
+"""What recognition compares frames with: a scene, and standard deviations of what is not measured.
 
+The scene is that of a panel, or of a window of its modules. Films, circuits and drift are not
+measured.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from math import hypot, log10
 
 import numpy as np
 
-from lampest.apps.recognition.recognition_scene import RecognitionScene
 from lampest.inference.assumptions import CREEP_AT_ONCE, CREEP_PER_DECADE
 from lampest.panel.effects import CHANNELS, REFERENCE, systematic_of, usual_size
-from lampest.panel.panel import Array
-from lampest.panel.response import RESPONSE_SD
+from lampest.panel.joined_network import JoinedNetwork
+from lampest.panel.network import Network
+from lampest.panel.panel import Array, Mask, Panel
+from lampest.panel.readouts.wiring import Wiring
+from lampest.panel.response import RESPONSE_SD, Response
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
+
+
+@dataclass(frozen=True, eq=False)
+class WindowScene:
+    """Neighbouring modules with the interface of a scene and of its circuit that recognition needs.
+
+    Attributes
+    ----------
+    panel : Panel
+        The window.
+    response : Response or None
+    of_modules : tuple of Scene
+        Scene of each module.
+    wiring : None
+        Each module has its own.
+    """
+
+    panel: Panel
+    response: Response | None
+    of_modules: tuple[Scene, ...]
+    wiring: None = None
+
+    @property
+    def circuit(self) -> "WindowScene":
+        """The circuit of all modules."""
+        return self
+
+    @property
+    def unit(self) -> str:
+        """Unit of the readings, ohm or volt."""
+        return self.of_modules[0].circuit.unit
+
+    @property
+    def series_ohm(self) -> Array:
+        """Resistance in series, (rows, columns) ohm."""
+        return self._joined([module.series_ohm for module in self.of_modules])
+
+    @property
+    def broken(self) -> Mask:
+        """Whether a crossing has no cell to be estimated, (rows, columns)."""
+        return self._joined([module.broken for module in self.of_modules]) > 0
+
+    @property
+    def open_cells(self) -> Mask:
+        """Whether a crossing does not conduct, (rows, columns)."""
+        return self._joined([module.open_cells for module in self.of_modules]) > 0
+
+    def uniform_start(self, measured: Array) -> Array:
+        """Return the uniform start of every module, as `Readout.uniform_start`."""
+        parts = zip(self.of_modules, self.panel.layout.split(measured), strict=True)
+        return self._joined([module.circuit.uniform_start(part) for module, part in parts])
+
+    def ties(self, cells: Array) -> Array:
+        """Return an empty array, because every module has its own ties."""
+        return np.zeros(0)
+
+    def network(self, cells: Array, ties: Array, wiring: Wiring | None) -> Network:
+        """Return the network of all modules."""
+        parts = zip(self.of_modules, self.panel.layout.split(cells), strict=True)
+        solved = [
+            module.circuit.network(part, module.circuit.ties(part), module.wiring)
+            for module, part in parts
+        ]
+        return JoinedNetwork.of(cells, solved, self.panel.layout)
+
+    def _joined(self, parts: Sequence[Array | Mask]) -> Array:
+        """Return the image of values of each module, to be broadcast to (rows, columns)."""
+        shape = self.panel.network.shape
+        return self.panel.layout.joined(np.stack([np.broadcast_to(part, shape) for part in parts]))
+
+
+RecognitionScene = Scene | WindowScene
 
 
 @dataclass(frozen=True)
@@ -88,20 +166,12 @@ class ModelErrors:
 
         Each cell has a part of its own, because cells respond differently.
         """
-        own = self.response * float(np.hypot.reduce(motion, initial=0.0))
+        own = self.response * np.hypot.reduce(motion, initial=0.0)
         return replace(self, settled=hypot(self.settled, own))
 
     def resting_sd(self, seconds: float) -> float:
         """Return the standard deviation of each cell's drift, seconds after the baseline."""
         return hypot(self.drift * log10(1 + seconds / 60), self.settled)
-
-    def resting_covariance(self, seconds: float, cells: int) -> Array:
-        """Return the covariance of ln r of all cells at rest, (cells, cells).
-
-        The covariance is the sum of the cells' own part and a common one.
-        """
-        common = self.common_drift * log10(1 + seconds / 60)
-        return self.resting_sd(seconds) ** 2 * np.eye(cells) + common**2
 
     def offsets(self, measured: Array, scene: RecognitionScene) -> Array:
         """Return the effect of every offset on the readings, E·sd (cells, offsets).
@@ -122,8 +192,13 @@ class ModelErrors:
         total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
         effects = list[Array]()
         if in_ohm:
+            # Modules have channels of their own.
             each = scene.panel.layout.each
-            channels = _on_channels(*measured.shape, each.rows, each.columns)
+            rows, columns = measured.shape
+            row, column = np.indices(measured.shape).reshape(2, -1, 1)
+            of_rows = row + rows * (column // each.columns)
+            of_columns = column + columns * (row // each.rows)
+            channels = np.hstack([each == np.unique(each) for each in (of_rows, of_columns)])
             effects += [self.channel_ohm * channels, self.reference * total]
         if self.reading_error:
             effects.append(np.diag(self.reading_error * total[:, 0]))
@@ -141,20 +216,3 @@ class ModelErrors:
         shape = scene.panel.shape
         none, one = (self.offsets(end, scene) for end in (np.zeros(shape), np.ones(shape)))
         return 1 + (one - none) @ shifts
-
-
-@lru_cache(maxsize=16)
-def _on_channels(rows: int, columns: int, module_rows: int, module_columns: int) -> Array:
-    """Return whether a reading passes a channel of a row or of a column, (cells, channels).
-
-    Modules have channels of their own.
-    """
-    row, column = np.indices((rows, columns))
-    row_channel = row + rows * (column // module_columns)
-    column_channel = column + columns * (row // module_rows)
-    return np.hstack(
-        [
-            (channel.reshape(-1, 1) == np.unique(channel)).astype(float)
-            for channel in (row_channel, column_channel)
-        ]
-    )

@@ -1,25 +1,80 @@
-"""Model of a mouth that the search for suction fits: parameters φ, their priors, their pressure.
+"""The disc of suction with its rim that explains the cells about a place under suction.
 
-φ are x and y of the centre, the logarithms of diameter, width of the rim, suction and push, the
-tilts along x and y, and the numbers of `Unevenness`. The push is the excess of the rim's pressure
-over p_bear.
+The parameters φ of its model are x and y of the centre, the logarithms of diameter, width of the
+rim, suction and push, the tilts along x and y, and the numbers of `Unevenness`. The push is the
+excess of the rim's pressure over p_bear. A pressure is the mean over a patch, taken over points
+with soft edges, because an elongated circle on squares has no closed form.
+
+The risen cells give the place and the size with which the search begins. Cells that the disc does
+not cover are free, so that a body next to a mouth does not pull at its rim.
 """
 
 from collections.abc import Mapping
-from math import exp, log
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import exp, expm1, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import softmax
 
-from lampest.apps.recognition.patches import EVEN, Unevenness, pressure_at_places
+from lampest.apps.recognition.hypotheses import EVIDENCE_SHARE
+from lampest.apps.recognition.observation import MostProbable, Observation, Whitening
+from lampest.apps.recognition.suction import Suction, under
+from lampest.files.levels import SIGNIFICANT
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import (
+    CURVE_KPA,
+    CURVE_RATIO,
+    TYPICAL_RESPONSE_SD,
+    PublishedResponse,
+    Response,
+)
 from lampest.recording.shapes.disc import Disc, bearing_kpa
 
+# Points along either edge of a patch, 1.2 mm apart on a patch of 6 mm. Edges of the disc are soft
+# over twice this distance, as real ones are.
+POINTS = 5
+# Their places along and across, over the patch's edge.
+ACROSS, ALONG = (np.indices((POINTS, POINTS)).reshape(2, -1) + 0.5) / POINTS - 0.5
+MIN_SQUARE = 1e-6  # mm², of the distance from the centre, where the angle is undefined
 # Common error of the places of both edges. Assumption: films are cut to a millimetre, and rims are
 # rounded.
 EDGE_MM = 1.1
 COMPLEX_STEP = 2.0**-104  # of derivatives, which have full precision, because nothing is subtracted
 CLOSED = 0.05  # rounding of d_i/d at 0, so that it stays positive for any width of the rim
+# A change of ln P below `settled` changes nothing that is reported.
+SEARCH = LevenbergMarquardt(evaluations=12, settled=0.03)
+COARSE = LevenbergMarquardt(evaluations=6, settled=0.3)
+# Assumed error of a place that readings cannot reduce, mm: patches are glued by hand.
+PLACE_MM = 0.5
+# Alternative exponents of the published curve under suction, beside 1: ln f is known at one point
+# only, through which a straight line or a threshold pass, too.
+EXPONENTS = (1 / 3, 2.0)
+# Of a film's response from cell to cell, over the usual deviation: films are glued and bent.
+UNEVENNESS = 2.5
+
+
+class Unevenness(NamedTuple):
+    """Relative departures of a load from a disc.
+
+    Attributes
+    ----------
+    along, across : float
+        Elongation: ln of the long axis over the mean diameter, along the rows, and 45° from them.
+    lobe_along, lobe_across : float
+        Relative amplitudes of the rim's pressure by cos 2θ and sin 2θ.
+    """
+
+    along: float = 0.0
+    across: float = 0.0
+    lobe_along: float = 0.0
+    lobe_across: float = 0.0
+
+
+EVEN = Unevenness()
 
 
 class Prior(NamedTuple):
@@ -91,40 +146,25 @@ def pressure(panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, A
     pressure : array, shape (rows, columns)
         Mean pressure on the patches, kPa.
     slopes : array, shape (parameters, rows, columns)
-        Derivatives of the pressure by φ, kPa.
+        Derivatives of the pressure by φ, kPa, by complex steps, Im p(φ + ih)/h.
+
+    Source: Squire, Trapp, SIAM Review 40, 110 (1998).
     """
-    disc, by_parameter = disc_with_slopes(parameters)
-    form = slice(-len(EVEN), None)
-    on_patches, by_number = pressure_at_places(
-        panel.places_mm, patch_mm, disc, Unevenness(*parameters[form])
-    )
-    slopes = np.tensordot(by_parameter, by_number[: len(disc)], (0, 0))
-    slopes[form] = by_number[len(disc) :]
-    return on_patches, slopes
+    steps = parameters[:, None] + 1j * COMPLEX_STEP * np.eye(len(parameters))
+    on_patches = pressure_at_places(panel.places_mm, patch_mm, numbers(steps))
+    return on_patches[0].real, on_patches.imag / COMPLEX_STEP
 
 
 def disc_of(parameters: Array) -> Disc:
     """Return the disc of φ, without its unevenness."""
-    return Disc(*_numbers(parameters).tolist())
+    return Disc(*numbers(parameters)[: -len(EVEN)].tolist())
 
 
-def disc_with_slopes(parameters: Array) -> tuple[Disc, Array]:
-    """Return the disc of φ, and its derivatives by complex steps, Im f(φ + ih)/h.
+def numbers(parameters: Array) -> Array:
+    """Return the numbers of the disc and its unevenness, (12, …), of φ (parameters, …).
 
-    Returns
-    -------
-    disc : Disc
-    slopes : array, shape (8, parameters)
-        Derivatives of the disc's numbers by φ.
-
-    Source: Squire, Trapp, SIAM Review 40, 110 (1998).
+    They are real or complex.
     """
-    numbers = _numbers(parameters[:, None] + 1j * COMPLEX_STEP * np.eye(len(parameters)))
-    return Disc(*numbers[:, 0].real.tolist()), numbers.imag / COMPLEX_STEP
-
-
-def _numbers(parameters: Array) -> Array:
-    """Return the numbers of the disc, (8, …), of φ (parameters, …), real or complex."""
     x, y, *logarithms, tilt_x, tilt_y = parameters[: -len(EVEN)]
     diameter, width, suction, push = np.exp(logarithms)
     # d_i/d = 1 − 2w/d, smoothly limited to positive values
@@ -132,7 +172,8 @@ def _numbers(parameters: Array) -> Array:
     share = (hollow + np.sqrt(hollow**2 + CLOSED**2)) / 2
     # p_bear = −s d_i²/(d² − d_i²)
     rim = suction * share**2 / (1 - share**2) + push
-    return np.stack([x, y, diameter, share * diameter, -suction, rim, tilt_x, tilt_y])
+    disc = Disc(x, y, diameter, share * diameter, -suction, rim, tilt_x, tilt_y)
+    return np.stack([*disc, *parameters[-len(EVEN) :]])
 
 
 def start_of(disc: Disc) -> Array:
@@ -152,3 +193,256 @@ def blind(parameters: Array) -> Array:
     """Return the deviations that readings cannot reduce: EDGE_MM/d of ln d, 0 of all others."""
     place = NAMES.index("diameter")
     return np.asarray(np.eye(len(parameters))[place] * (EDGE_MM / exp(parameters[place])))
+
+
+def pressure_at_places(places: Array, patch_mm: float, of_load: Array) -> Array:
+    """Return the mean pressure of a load on patches.
+
+    The pressure is p = rim_kpa · (whole − hole) · (1 + tilt·(u, v)/R + lobes) + suction · hole,
+    with soft indicators of disc and hole.
+
+    Parameters
+    ----------
+    places : array, shape (2, …)
+        x and y of the patches' centres, mm; NaN where there is none.
+    patch_mm : float
+        Edge of a patch.
+    of_load : array, shape (12,) or (12, n)
+        Numbers of `Disc` and of `Unevenness`. Those of n loads differ in their imaginary parts.
+
+    Returns
+    -------
+    array, shape (1, …) or (n, …)
+        kPa.
+    """
+    of_load = of_load.reshape(len(of_load), -1, 1, 1)
+    disc = Disc(*of_load[: -len(EVEN)])
+    form = Unevenness(*of_load[-len(EVEN) :])
+    x_mm, y_mm, diameter, *_, along, across, _, _ = of_load[:, 0, 0, 0].real
+    soft = patch_mm / POINTS
+    longest = 1 + abs(along) + abs(across)
+    reach = diameter / 2 * longest + patch_mm / 2 + soft
+    near = (np.abs(places[0] - x_mm) < reach) & (np.abs(places[1] - y_mm) < reach)
+    x = places[0, near][:, None] + ALONG * patch_mm - disc.x_mm
+    y = places[1, near][:, None] + ACROSS * patch_mm - disc.y_mm
+    # Coordinates in which the elongated disc is round: (u, v) = ((1 − a) x − s y, (1 + a) y − s x).
+    u = (1 - form.along) * x - form.across * y
+    v = (1 + form.along) * y - form.across * x
+    square = u * u + v * v
+    square = np.where(square.real > MIN_SQUARE, square, MIN_SQUARE)
+    radius = np.sqrt(square)
+    outer = disc.diameter_mm / 2
+    hole = _inside(radius - disc.inner_mm / 2, soft) * (np.real(disc.inner_mm) > 0)
+    tilt = (disc.tilt_x * u + disc.tilt_y * v) / outer
+    # cos 2θ and sin 2θ
+    lobes = (form.lobe_along * (u * u - v * v) + form.lobe_across * 2 * u * v) / square
+    rim = disc.rim_kpa * (_inside(radius - outer, soft) - hole) * (1 + tilt + lobes)
+    means = np.zeros((len(u), *near.shape), dtype=of_load.dtype)
+    means[:, near] = np.mean(rim + disc.suction_kpa * hole, axis=2)
+    return means
+
+
+def _inside(beyond: Array, soft: float) -> Array:
+    """Return a soft indicator, ½ − ¾t + ¼t³ with the real part of t = beyond/soft clipped to ±1."""
+    t = beyond / soft
+    t = np.where(np.abs(t.real) < 1, t, np.sign(t.real))
+    return 0.5 + t * (0.25 * t * t - 0.75)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BentSuction(PublishedResponse):
+    """Published curve with a power law for suction through the one published point.
+
+    ln f = 2.02·(p/−10)^exponent. A straight line of r through that point corresponds to exponents
+    of ½ at −5 kPa and ⅓ at −30 kPa, a threshold of 2 kPa to one of about 2.
+    """
+
+    exponent: float
+
+    def logarithm(self, pressure: ArrayLike) -> Array:
+        """Return ln f(p) for pressures in kPa, any shape."""
+        pressure = np.asarray(pressure, dtype=float)
+        # ln f = ln 7.54·(p/−10)^exponent for suction
+        share = np.minimum(pressure, 0.0) / CURVE_KPA[0]
+        rise = np.log(CURVE_RATIO[0]) * share**self.exponent
+        return np.asarray(super().logarithm(np.maximum(pressure, 0.0)) + rise)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DiscPoint(SumOfSquares):
+    """−ln P of a frame about a disc: squares of the readings' errors and of (φ − mean)/sd.
+
+    Attributes
+    ----------
+    parameters : array, shape (parameters,)
+        φ, the parameters of the model.
+    own : array, shape (rows, columns)
+        ln r/r0 under the disc.
+    slopes : array, shape (parameters, cells)
+        Its derivatives by φ.
+    """
+
+    parameters: Array
+    own: Array
+    slopes: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SuckingDisc:
+    """The most probable disc at a place under suction.
+
+    Attributes
+    ----------
+    frame : Observation
+    place : Suction
+    patch_mm : float
+        Edge of a cell's film.
+    response : Response
+        Curve of the film.
+    """
+
+    frame: Observation
+    place: Suction
+    patch_mm: float
+    response: Response
+
+    @cached_property
+    def point(self) -> DiscPoint:
+        """−ln P about the most probable φ that the search reaches."""
+        return self._searched(self._coarse.parameters, self.errors, SEARCH)
+
+    @cached_property
+    def _coarse(self) -> DiscPoint:
+        """The same with errors about the start of the search."""
+        start = start_of(self.place.disc(self.frame.panel))
+        return self._searched(start, self._errors_about(start), COARSE)
+
+    @cached_property
+    def errors(self) -> Whitening:
+        """Errors of the readings about the disc of the coarse search."""
+        return self._errors_about(self._coarse.parameters)
+
+    def _searched(
+        self, start: Array, whitening: Whitening, search: LevenbergMarquardt
+    ) -> DiscPoint:
+        """Return −ln P about the most probable φ that a search reaches with these errors."""
+        mean, sd, steps, _ = np.transpose([*priors(self.frame.panel).values()])
+        return replace(search, longest=steps).minimum(
+            lambda parameters: self.at(parameters, whitening),
+            start,
+            (mean - SIGNIFICANT * sd, mean + SIGNIFICANT * sd),
+        )[1]
+
+    @property
+    def disc(self) -> Disc:
+        """The disc, without its unevenness."""
+        return disc_of(self.point.parameters)
+
+    @property
+    def scatter(self) -> float:
+        """Relative deviation of the film from cell to cell."""
+        return UNEVENNESS * self.frame.baseline.model_errors.response
+
+    @property
+    def goodness(self) -> float:
+        """χ² of a reading."""
+        return 2 * self.point.cost / self.frame.measured.size
+
+    @cached_property
+    def report(self) -> dict[str, tuple[float, float]]:
+        """Place, diameter and suction by their names, each with its standard deviation.
+
+        Value and deviation are those of all curves of the film, by the law of total covariance. A
+        disc that explains the frame poorly is as much less sure. The suction is log-normal.
+        """
+        _, sd = mean_and_sd(self.frame.panel)
+        # with the precision of the prior, eigenvalues of sd H sd are at least 1
+        sizes, axes = np.linalg.eigh(self.point.normal * np.outer(sd, sd))
+        covariance = (axes / np.maximum(sizes, 1.0)) @ axes.T * np.outer(sd, sd)
+        points = [self.point]
+        if isinstance(self.response, PublishedResponse):
+            points += map(self._bent, EXPONENTS)
+        excess = max(1.0, self.goodness)
+        shares = softmax([-EVIDENCE_SHARE / excess * point.cost for point in points])
+        of_curves = np.array([point.parameters for point in points])
+        mean = shares @ of_curves
+        between = (shares[:, None] * (of_curves - mean)).T @ (of_curves - mean)
+        unseen = blind(mean)
+        unseen[:2] = PLACE_MM
+        covariance = excess * covariance + between + np.diag(unseen**2)
+        x_sd, y_sd, size_sd = np.sqrt(np.diag(covariance))[:3].tolist()
+        x, y, size = mean[:3].tolist()
+        # ln s ~ N(m, v): E s = e^(m + v/2), var s = (E s)² (e^v − 1)
+        variance = covariance[SUCTION, SUCTION]
+        if isinstance(self.response, PublishedResponse):
+            variance += TYPICAL_RESPONSE_SD**2
+        suction = exp(mean[SUCTION] + variance / 2)
+        return {
+            "x_mm": (x, x_sd),
+            "y_mm": (y, y_sd),
+            "diameter_mm": (exp(size), exp(size) * size_sd),
+            "suction_kpa": (-suction, suction * sqrt(expm1(variance))),
+        }
+
+    def _bent(self, exponent: float) -> DiscPoint:
+        """Return −ln P about the most probable φ with an alternative curve of the film.
+
+        With an exponent a the same rise of cells is that by the suction s_a, ln s_a = ln s₁₀ +
+        (ln s − ln s₁₀)/a, where s₁₀ is the one published point.
+        """
+        gain, gain_sd = self.response.gain, self.response.gain_sd
+        curve = BentSuction(exponent=exponent, gain=gain, gain_sd=gain_sd)
+        start = self.point.parameters.copy()
+        start[SUCTION] += (start[SUCTION] - log(-CURVE_KPA[0])) * (1 / exponent - 1)
+        return replace(self, response=curve)._searched(start, self.errors, COARSE)
+
+    @cached_property
+    def cells(self) -> MostProbable:
+        """Most probable ln r/r0 of all cells, beside the disc by the film's deviations."""
+        change, film = self._expected(self.point.parameters)
+        return self.frame.cells(change, film, mean=change)
+
+    def at(self, parameters: Array, whitening: Whitening) -> DiscPoint:
+        """Return −ln P about φ, with the exact circuit."""
+        frame = self.frame
+        kpa, by_parameter = pressure(frame.panel, self.patch_mm, parameters)
+        own, response = frame.change(kpa, self.response)
+        slopes = by_parameter.reshape(len(parameters), response.size) * response.ravel()
+        covered = under(frame.panel, disc_of(parameters))
+        network = frame.baseline.network(np.where(covered, own, frame.free_map))
+        slope = frame.sensitivity(network)
+        both = whitening @ np.column_stack([slope @ slopes.T, frame.deviation(network)])
+        mean, sd = mean_and_sd(frame.panel)
+        return DiscPoint(
+            residual=np.concatenate([both[:, -1], (parameters - mean) / sd]),
+            jacobian=np.vstack([-both[:, :-1], np.diag(1 / sd)]),
+            parameters=parameters,
+            own=own,
+            slopes=slopes,
+        )
+
+    def _expected(self, parameters: Array) -> tuple[Array, Array]:
+        """Return ln r/r0 of the disc and of free cells beside it, and its covariance.
+
+        The causes of the covariance are deviations of the film, edges that are not where they are
+        modelled, and free cells. The shapes are (rows, columns) and (cells, cells).
+        """
+        frame = self.frame
+        covered = under(frame.panel, disc_of(parameters))
+        free = np.where(covered, 0.0, np.hypot(frame.free_map, frame.free_sd)).ravel()
+        # |∂x/∂mm| by a shift across an edge, a secant because tangents jump at corners of the
+        # response
+        kpa, by_parameter = pressure(frame.panel, self.patch_mm, parameters)
+        shift = np.hypot(*by_parameter[:2])
+        sizes = (pressure(frame.panel, by * self.patch_mm, parameters)[0] for by in (0.9, 1.1))
+        own, upper, lower, small, large = (
+            frame.change(end, self.response)[0] for end in (kpa, kpa + shift, kpa - shift, *sizes)
+        )
+        explained = np.stack([own, np.abs(upper - lower) / 2, (large - small) / (1.1 - 0.9)])
+        uneven, shared = frame.baseline.film_parts(explained)
+        film = self.scatter**2 * uneven + shared + np.diag(free**2)
+        return np.where(covered, own, frame.free_map), film
+
+    def _errors_about(self, parameters: Array) -> Whitening:
+        """Return the errors of the readings about a disc."""
+        return Whitening.about(self.frame, *self._expected(parameters))

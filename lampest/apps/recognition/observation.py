@@ -9,13 +9,13 @@ errors common to all frames with the effect E on the readings. All errors are Ga
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import log10
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import blas, cholesky, lapack
 
-from lampest.apps.recognition.model_errors import ModelErrors
-from lampest.apps.recognition.recognition_scene import RecognitionScene
+from lampest.apps.recognition.model_errors import ModelErrors, RecognitionScene
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.network import Network
@@ -42,6 +42,11 @@ MAX_LOG_CHANGE = 12.0
 OUTLIER_SHARE = 0.03  # largest share of outliers among the readings
 # Factor on σ, or on the reading, that gives the σ of a reading that does not count.
 DROPPED_FACTOR = 1e3
+
+
+def nothing_shared(readings: Array) -> Array:
+    """Return no columns for errors that the readings of a frame share, (cells, 0)."""
+    return np.zeros((readings.size, 0))
 
 
 def counting(sigma: Array, measured: Array) -> Array:
@@ -174,7 +179,7 @@ class Baseline:
         sigma: Array,
         scene: RecognitionScene,
         model_errors: ModelErrors,
-        common: Array | None = None,
+        common: Array | float = 0.0,
         leaks: tuple[LineEffect, ...] = (),
     ) -> "Baseline":
         """Return argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖².
@@ -204,7 +209,7 @@ class Baseline:
         opened = np.flatnonzero(scene.open_cells)
         mean[opened] += np.log(DROPPED_FACTOR)
         prior[opened] = prior[:, opened] = 0.0
-        shared = 0.0 if common is None else common @ common.T
+        shared = np.inner(common, common)
         noise = sigma.ravel() ** 2
 
         def model(state: Array) -> tuple[Array, Array, Array]:
@@ -278,11 +283,11 @@ class Observation:
         Pressure of the water, kPa, equal in the unloaded frames.
     seconds : float
         Time since the baseline.
-    common : callable or None
+    common : callable
         Returns a root (cells, n) of the covariance of random errors that the frame's readings
-        share: gain, ripple along scanned lines, motion of the water. It is of the readings that a
-        network predicts: two such roots, of a loaded and of the unloaded panel, would explain any
-        load as a difference of errors.
+        share, by default none: gain, ripple along scanned lines, motion of the water. It is of the
+        readings that a network predicts: two such roots, of a loaded and of the unloaded panel,
+        would explain any load as a difference of errors.
     """
 
     measured: Array
@@ -290,7 +295,7 @@ class Observation:
     baseline: Baseline
     water: Array
     seconds: float = 0.0
-    common: Callable[[Array], Array] | None = field(default=None, kw_only=True)
+    common: Callable[[Array], Array] = field(default=nothing_shared, kw_only=True)
 
     @property
     def panel(self) -> Panel:
@@ -357,12 +362,12 @@ class Observation:
     def _resting_root(self) -> Array:
         """Root of C + T, (cells + offsets, cells + offsets).
 
-        This is the baseline's covariance and the drift.
+        This is the baseline's covariance and the drift, of each cell and of all in common.
         """
         covariance = self.baseline.covariance.copy()
         cells = self.measured.size
-        drift = self.baseline.model_errors.resting_covariance(self.seconds, cells)
-        covariance[:cells, :cells] += drift
+        common = self.baseline.model_errors.common_drift * log10(1 + self.seconds / 60)
+        covariance[:cells, :cells] += self.drift_sd**2 * np.eye(cells) + common**2
         return np.asarray(cholesky(covariance, lower=True))
 
     def covariance(self, network: Network, cells: Array | float = 0.0) -> Array:
@@ -383,12 +388,10 @@ class Observation:
         both = np.hstack([slope, self.offsets(network)])
         # the root is triangular, and a product with the own transpose symmetric: half of each
         spread = blas.dtrmm(1.0, self._resting_root.T, both.T).T
-        total: Array = spread @ spread.T
+        shared = self.common(network.reading())
+        total: Array = spread @ spread.T + shared @ shared.T
         if np.ndim(cells):
             total += slope @ cells @ slope.T
-        if self.common is not None:
-            shared = self.common(network.reading())
-            total += shared @ shared.T
         return total + np.diag(self.sigma.ravel() ** 2)
 
     def cells(self, start: Array, prior: Array, mean: Array | float = 0.0) -> MostProbable:
@@ -433,6 +436,11 @@ class Observation:
     def free_sd(self) -> Array:
         """The standard deviations of `free`, (rows, columns)."""
         return np.sqrt(np.diag(self.free.covariance)).reshape(self.measured.shape)
+
+    @property
+    def drift_sd(self) -> float:
+        """Standard deviation of each cell's drift since the unloaded frames."""
+        return self.baseline.model_errors.resting_sd(self.seconds)
 
     @cached_property
     def mean_sd(self) -> Array:
@@ -526,7 +534,7 @@ def outliers(whitening: Whitening, residual: Array) -> Numbers:
     for _ in range(max(1, int(OUTLIER_SHARE * len(residual)))):
         # z²
         score = np.divide(pull**2, np.diag(precision), out=np.zeros(len(pull)), where=fitting)
-        worst = int(np.argmax(score))
+        worst = np.argmax(score)
         if score[worst] <= SIGNIFICANT**2:
             break
         fitting[worst] = False

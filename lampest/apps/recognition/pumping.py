@@ -112,7 +112,7 @@ class Pumping:
     since_s : float
         Time of the last sample, s.
     moves : int
-        Number of the attachment's moves when the weights were computed.
+        Number of the attachment's moves when the weights were computed; −1 if they hold no more.
     logarithm : array, shape (kinds, leaks, noises, drifts, hypotheses)
         ln of the joint probability.
     moments : Moments
@@ -158,10 +158,6 @@ class Pumping:
             pumps=before.pumps,
         )
 
-    def interrupted(self) -> "Pumping":
-        """Return the state whose weights and reference hold no more, as after a move."""
-        return replace(self, moves=-1)
-
     def after(self, logarithms: Array, time: float) -> "Pumping":
         """Return the state after one more sample at a time in s.
 
@@ -169,11 +165,11 @@ class Pumping:
         """
         sample = float(self.weights @ (np.median(logarithms, axis=0) - self.reference))
         seconds = time - self.since_s
+        since = replace(self, since_s=time)
         if abs(sample) > MAX_CHANGE:
-            return replace(self, since_s=time)
-        updated = self._predicted(seconds)._updated(sample)._limited()
-        updated = replace(updated, since_s=time, observed_s=self.observed_s + seconds)
-        return updated._counted(time, seconds)
+            return since
+        since = replace(since, observed_s=self.observed_s + seconds)
+        return since._predicted(seconds)._updated(sample)._counted(time, seconds)
 
     def _predicted(self, seconds: float) -> "Pumping":
         """Return the state after an interval in s, with one more hypothesis: a jump within it.
@@ -228,17 +224,13 @@ class Pumping:
         level = np.where(pumped, mean, level)
         level_variance = np.where(pumped, variance, level_variance)
         moments = Moments(mean, variance, age_s, level, level_variance)
-        return replace(self, logarithm=logarithm - logsumexp(logarithm), moments=moments)
-
-    def _limited(self) -> "Pumping":
-        """Return the state in which no combination is much less probable than the best.
-
-        Noise, drift and leak may change, and a mouth that rested may pump again.
-        """
-        least = self.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - MAX_LOG_RATIO
-        logarithm = np.maximum(self.logarithm, least)
-        logarithm[-1] += max(0.0, MIN_LOG_ODDS - self._kinds)
-        return replace(self, logarithm=logarithm)
+        known = replace(self, logarithm=logarithm - logsumexp(logarithm), moments=moments)
+        # No combination is much less probable than the best: noise, drift and leak may change, and
+        # a mouth that rested may pump again.
+        least = known.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - MAX_LOG_RATIO
+        limited = np.maximum(known.logarithm, least)
+        limited[-1] += max(0.0, MIN_LOG_ODDS - known._kinds)
+        return replace(known, logarithm=limited)
 
     def _counted(self, time: float, seconds: float) -> "Pumping":
         """Return the state with one more pump where there probably was one.

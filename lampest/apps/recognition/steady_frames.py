@@ -18,22 +18,6 @@ LEVEL_FRAMES = 9  # two seconds at four frames a second: more than one breath
 MIN_PART = 4  # frames between two steps, with which a part says more than its mean
 
 
-class SuctionChange(NamedTuple):
-    """A change of the suction beside a wave.
-
-    Attributes
-    ----------
-    times : tuple of float
-        Times of the frames before the change, s.
-    gain : float
-        Twice the ln of the ratio of likelihoods, of normal residuals of unknown variance, over the
-        best wave alone.
-    """
-
-    times: tuple[float, ...]
-    gain: float
-
-
 class SteadyFrames(NamedTuple):
     """Frames of a window without those in which the readings step.
 
@@ -93,35 +77,39 @@ class SteadyFrames(NamedTuple):
             times=self.times[frames], logarithms=self.logarithms[frames], part=part
         )
 
-    def pulled(self, series: Array, axes: Array) -> "SuctionChange":
-        """Return the times between which a series, (frames,), is at another level.
-
-        Both ends of the best level, or one, are compared.
+    def pulled(self, series: Array, axes: Array) -> tuple[list[float], float]:
+        """Find another level of a series beside a wave.
 
         Parameters
         ----------
         series : array, shape (frames,)
         axes : array, shape (rates, 2, frames)
             Waves without a trend, orthonormal at each rate.
+
+        Returns
+        -------
+        times : list of float
+            Times of the frames before both ends of the best level, or before the one within, s.
+        gain : float
+            Twice the ln of the ratio of likelihoods, of normal residuals of unknown variance, over
+            the best wave alone.
         """
         count = len(series)
         begins, ends = np.triu_indices(count + 1, MIN_PART)
         numbers = np.arange(count)[:, None]
         levels = ((numbers >= begins) & (numbers < ends)).astype(float)
         best, gain = self._beside_wave(series, axes, levels)
-        edges = (int(edge) for edge in (begins[best], ends[best]))
-        return SuctionChange(
-            tuple(float(self.times[edge - 1]) for edge in edges if 0 < edge < count), gain
-        )
+        edges = [edge for edge in (begins[best], ends[best]) if 0 < edge < count]
+        return [float(self.times[edge - 1]) for edge in edges], gain
 
-    def leaking(self, series: Array, axes: Array) -> "SuctionChange":
-        """Return the time from which a series, (frames,), falls or rises, as of a leak.
+    def leaking(self, series: Array, axes: Array) -> tuple[float, float]:
+        """Return the time from which a series falls or rises, as of a leak, and the gain.
 
-        Parameters are those of `pulled`.
+        Parameters and gain are those of `pulled`.
         """
         begins, ramps = self.ramps()
         best, gain = self._beside_wave(series, axes, ramps)
-        return SuctionChange((float(begins[best]),), gain)
+        return float(begins[best]), gain
 
     def ramps(self) -> tuple[Array, Array]:
         """Return times (n,), s, and the seconds since each of them at every frame, (frames, n)."""
@@ -131,32 +119,36 @@ class SteadyFrames(NamedTuple):
     def _beside_wave(self, series: Array, axes: Array, shapes: Array) -> tuple[int, float]:
         """Return the number of the shape, of (frames, n), that explains a series best.
 
-        Also by how much it does so beside the best wave, as in `SuctionChange`.
+        Also by how much it does so beside the best wave, the gain of `pulled`.
         """
-        trend = self.trend()
-        shapes = shapes - trend @ (trend.T @ shapes)
+        shapes = self.without_trend(shapes)
         amplitude = axes @ series
         waves = axes @ shapes  # (rates, 2, shapes)
         size = np.sum(shapes**2, axis=0) - (waves**2).sum(axis=1)
         along = shapes.T @ series - (amplitude[..., None] * waves).sum(axis=1)
         explained = np.where(size > 1e-3, along**2 / np.maximum(size, 1e-3), 0.0)
-        beside = float(series @ series) - (amplitude**2).sum(axis=1)
+        beside = series @ series - (amplitude**2).sum(axis=1)
         remaining = beside[:, None] - explained
         best = int(np.argmin(remaining.min(axis=0)))
-        ratio = float(beside.min()) / max(float(remaining.min()), 1e-12)
-        return best, (len(series) - trend.shape[1]) * float(np.log(ratio))
+        ratio = beside.min() / max(remaining.min(), 1e-12)
+        return best, (len(series) - self.trend().shape[1]) * float(np.log(ratio))
 
     def trend(self) -> Array:
         """Return an orthonormal basis of 1, t, t², ln(1 + t), of a leak, and of steps.
 
         ln(1 + t) is for creep.
         """
-        at = (self.times - self.times[0]) / max(float(np.ptp(self.times)), self.period)
+        at = (self.times - self.times[0]) / max(np.ptp(self.times), self.period)
         leak = [np.maximum(self.times - self.leak_s, 0.0)] if self.leak_s < np.inf else []
         steps = [self.part > number for number in range(self.part.max(initial=0))]
         return np.linalg.qr(
             np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at), *leak, *steps])
         )[0]
+
+    def without_trend(self, series: Array) -> Array:
+        """Return series (…, frames, n) without their projection on the trend."""
+        trend = self.trend()
+        return series - trend @ (trend.T @ series)
 
 
 def changes_without_water(interval: SteadyFrames, frame: Observation, change: Array) -> Array:

@@ -1,20 +1,27 @@
-"""Suction without a shape: cells that have risen, enclosed by cells that have fallen.
+"""Loads by their cells, without a shape: suction, and contacts.
 
 Suction lifts the film from its electrodes, and resistance rises: the likelihood ratio of a risen
 cell against one that has not is the evidence of suction. A rim that presses around the suction
 bears it: fallen neighbours multiply the odds. Neither depends on the form of a mouth, on other
 loads next to it, or on the film's curve.
+
+Contacts are neighbouring cells that conduct more than at rest. A cover spreads pressure, and errors
+of the circuit change the neighbours of a heavy load a little. Both join separate contacts. Contacts
+are therefore divided where the change between them is faint, as a watershed divides two lakes, and
+a contact has the cells that changed by more than a share of its strongest one. Errors of the cells
+must not explain a division: between the cells of one foot on a real insole they did.
 """
 
-from dataclasses import dataclass
 from math import dist, hypot, inf, log, pi
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.special import expit, log_ndtr, logit, ndtr
 
 from lampest.apps.recognition.observation import Observation, patch_of
-from lampest.panel.panel import Array, Mask, Panel
+from lampest.files.levels import NOISE_REACH
+from lampest.panel.panel import Array, Mask, Numbers, Panel
 from lampest.recording.shapes.disc import Disc, bearing_kpa
 
 # ln r/r0 by a suction of 1 kPa. Of 64 hands, rocks, fish, fins, bubbles, rods and rings none raised
@@ -40,10 +47,18 @@ UNMOVED_SD = 0.05
 MAX_RANGE = 0.9
 RIM_MM = (6.0, -12.0)  # usual width of a rim, and suction, at which a fit begins
 APART_PITCHES = 2.2  # distance of two mouths: below, risen cells are of one
+# Of the strongest ln r0/r of a contact: cells with less are its surroundings. Between two feet
+# under a soft cover it is a fifth, under the arch of one foot a half.
+FAINT_SHARE = 0.3
+SMALL_CELLS = 3
+# Likewise for contacts of fewer cells: between two feet in a circuit with grounded lines up to
+# 0.12.
+SMALL_SHARE = 0.15
+# Of the strongest ln r0/r of all cells: errors of the circuit beside a heavy load.
+GHOST_SHARE = 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class Suction:
+class Suction(NamedTuple):
     """A place on the panel that may be under suction.
 
     Attributes
@@ -93,26 +108,32 @@ def suctions(frame: Observation) -> list[Suction]:
     too. Nothing is concluded if the cells of the unloaded panel are as uneven as under loads: a
     rising cell may then have been relieved.
     """
-    chance = log(frame.panel.present.sum())
     panel = frame.panel
+    chance = log(panel.present.sum())
     change = frame.free_map
     sd = frame.free_sd
-    if not _even(frame):
+    intact = frame.baseline.logarithm[panel.present & ~frame.baseline.scene.broken]
+    lower, upper = np.quantile(intact, (0.25, 0.75))
+    if upper - lower >= MAX_RANGE:
         return []
     places = list[Suction]()
     for clear in groups_of(panel, panel.present & (_rise_evidence(change, sd) > 0)):
         cells = clear | (around(panel, clear) & (change > np.maximum(MIN_FALL, sd)))
         if not around(panel, cells).any():
             continue  # the whole panel has risen
-        lines = _rise_of_lines(frame, cells)
-        rise = float(_rise_evidence((change - lines)[cells], sd[cells], lines).max())
+        # An amplifier that saturates under a heavy load raises all cells of its row or its column
+        # that have not fallen: their median beside the group.
+        beside = panel.present & ~cells & (change > -MIN_FALL)
+        of_lines = [change[beside & cells.any(axis=axis, keepdims=True)] for axis in (0, 1)]
+        lines = max(0.0, *(float(np.median(line)) if line.size else 0.0 for line in of_lines))
+        rise = _rise_evidence((change - lines)[cells], sd[cells], lines).max()
         enclosure = _enclosure(frame, cells)
         rise += min(enclosure - chance, 0.0)
         odds = -float(np.logaddexp(-rise, -RISEN_LOG_ODDS - enclosure))
         weight = change[cells] / change[cells].sum()
         x, y = panel.places_mm[:, cells] @ weight
         places.append(Suction(cells, odds, float(x), float(y)))
-    places.sort(key=lambda place: -float(change[place.cells].sum()))
+    places.sort(key=lambda place: -change[place.cells].sum())
     # without those that are nearer to a larger one than two mouths can be
     separate = list[Suction]()
     for place in places:
@@ -186,24 +207,6 @@ def _rise_evidence(change: Array, sd: Array, lines: float = 0.0) -> Array:
     return np.asarray(log(2) + positive + (squares + np.log(unmoved / lifted)) / 2)
 
 
-def _even(frame: Observation) -> bool:
-    """Return whether the unloaded cells are even, by the interquartile range of ln r0."""
-    logarithm = frame.baseline.logarithm[frame.panel.present & ~frame.baseline.scene.broken]
-    lower, upper = np.quantile(logarithm, (0.25, 0.75))
-    return bool(upper - lower < MAX_RANGE)
-
-
-def _rise_of_lines(frame: Observation, cells: Mask) -> float:
-    """Return by how much the rows or the columns of a group have risen beside it, 0 or more.
-
-    An amplifier that saturates under a heavy load raises all cells of its line that have not
-    fallen. The result is their median.
-    """
-    beside = frame.panel.present & ~cells & (frame.free_map > -MIN_FALL)
-    lines = [beside & cells.any(axis=axis, keepdims=True) for axis in (0, 1)]
-    return max([0.0, *(float(np.median(frame.free_map[line])) for line in lines if line.any())])
-
-
 def _enclosure(frame: Observation, cells: Mask) -> float:
     """Return the ln likelihood ratio of suction by the neighbours of a group, (rows, columns).
 
@@ -243,3 +246,74 @@ def around(panel: Panel, group: Mask) -> Mask:
     beside[second[group.flat[first]]] = True
     beside[first[group.flat[second]]] = True
     return beside.reshape(group.shape) & ~group
+
+
+def contacts_of(panel: Panel, change: Array, sd: Array) -> list[Mask]:
+    """Return the cells of every contact, boolean (rows, columns) each, the strongest one first.
+
+    Parameters
+    ----------
+    panel : Panel
+    change, sd : array, shape (rows, columns)
+        ln r/r0 and its standard deviation. Only cells that conduct more count.
+    """
+    strength = -change
+    clear = strength > np.maximum(MIN_FALL, NOISE_REACH * sd)
+    if not clear.any():
+        return []
+    touched = clear & (strength > GHOST_SHARE * strength[clear].max())
+    order = np.argsort(-strength, axis=None, kind="stable")
+    unassigned = np.full(panel.shape, -1, dtype=np.intp)
+    basin = _watershed(panel, strength, sd, order[touched.flat[order]], unassigned, assigned=True)
+    # One cell between two basins that may have changed as they have is enough to join them. Of a
+    # cell whose readings are bounds, or of a dead line, nothing is known: it divides no contact.
+    between = np.flatnonzero(basin < 0)
+    joined = _watershed(panel, strength, sd, between, basin, assigned=False)
+    members = touched & ~_is_faint(strength, sd, basin)
+    peaks = sorted(set(joined[touched]), key=lambda cell: -strength.flat[cell])
+    contacts = [members & (joined == peak) for peak in peaks]
+    least = SMALL_SHARE * strength[clear].max()
+    return [
+        cells for cells in contacts if cells.sum() >= SMALL_CELLS or strength[cells].max() >= least
+    ]
+
+
+def _is_faint(strength: Array, sd: Array, peak: Numbers | int) -> Mask:
+    """Return whether cells changed by clearly less than a share of a contact's strongest cell.
+
+    `peak` is the number of that cell, or of that of each cell, (rows, columns).
+    """
+    error = np.hypot(sd, FAINT_SHARE * sd.ravel()[peak])
+    return np.asarray(FAINT_SHARE * strength.ravel()[peak] - strength > NOISE_REACH * error)
+
+
+def _watershed(
+    panel: Panel, strength: Array, sd: Array, cells: Numbers, basin: Numbers, *, assigned: bool
+) -> Numbers:
+    """Return the number of the strongest cell of every cell's contact, (rows, columns).
+
+    A cell that connects two groups joins them unless it is faint for the weaker one.
+
+    Parameters
+    ----------
+    panel : Panel
+    strength, sd : array, shape (rows, columns)
+    cells : integer array
+        Numbers of the cells that may connect groups, one after the other.
+    basin : integer array, shape (rows, columns)
+        The groups so far; −1 elsewhere.
+    assigned : bool
+        Whether the cells become members.
+    """
+    first, second, _ = panel.neighbours
+    basin = basin.copy()
+    for cell in cells.tolist():
+        beside = np.concatenate([second[first == cell], first[second == cell]])
+        near = {*basin.flat[beside].tolist()} - {-1}
+        peaks = sorted(near, key=lambda peak: -strength.flat[peak]) or [cell]
+        if assigned:
+            basin.flat[cell] = peaks[0]
+        for peak in peaks[1:]:
+            if not _is_faint(strength, sd, peak).flat[cell]:
+                basin[basin == peak] = peaks[0]
+    return basin

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 
-from lampest.apps.recognition import mouth_model
+from lampest.apps.recognition.detector import Verdict
 from lampest.apps.recognition.hypotheses import BREATH, BREATHING_SD
+from lampest.apps.recognition.mouth_model import priors
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.suction import MIN_FALL
-from lampest.apps.recognition.verdict import Verdict
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
@@ -125,13 +125,8 @@ class Patterns(NamedTuple):
 
     def whitened(self, whitening: Array) -> "Patterns":
         """Return the patterns of readings that a matrix (readings, readings) combines once more."""
-        return self._replace(
-            own=whitening @ self.own,
-            rim=whitening @ self.rim,
-            moves=whitening @ self.moves,
-            others=whitening @ self.others,
-            beside=whitening @ self.beside,
-        )
+        roots = ("own", "rim", "moves", "others", "beside")
+        return self._replace(**{name: whitening @ getattr(self, name) for name in roots})
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
         """Return the weights (readings,) with which readings sum to the amplitude of suction.
@@ -179,9 +174,11 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
     changed = (verdict.change != 0) | (
         np.abs(frame.free_map) > np.maximum(MIN_FALL, NOISE_REACH * frame.free_sd)
     )
-    curve = CURVE_SD if isinstance(frame.baseline.response, PublishedResponse) else 0.0
-    sways = np.array([prior.sway for prior in mouth_model.priors(panel).values()])
+    sways = np.array([prior.sway for prior in priors(panel).values()])
     patterns = list[Patterns]()
+    response = frame.baseline.response
+    curve = CURVE_SD if isinstance(response, PublishedResponse) else 0.0
+    at_rest = response.logarithm(frame.water)
     for disc in verdict.discs:
         cells = disc.cells
         rise = cells.state.reshape(panel.shape)
@@ -189,6 +186,10 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
         slopes = _slopes(frame, rise, disc.scatter)
         own_sd = np.hypot(disc.scatter, np.sqrt(np.diag(cells.covariance)))
         spread = np.hypot(np.hypot.reduce(slopes[1:-1]), slopes[0] * own_sd)
+        # ∂(ln r/r0)/∂p of all cells, 1/kPa: waves press on all alike
+        pressure = response.pressure(rise / response.gains + at_rest)
+        more, less = (response.logarithm(pressure + by) for by in (WAVE_KPA, -WAVE_KPA))
+        by_water = response.gains * (more - less) / (2 * WAVE_KPA)
         under = (disc.point.own != 0).ravel()
         beside = changed.ravel() & ~under
         moves = (sways[:, None] * disc.point.slopes[:, under])[sways > 0]
@@ -199,7 +200,7 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
             spread=spread[under],
             moves=moves,
             others=np.column_stack(
-                [whitening.sum(axis=1), by_cell[:, beside], by_cell @ _by_water(frame, rise)]
+                [whitening.sum(axis=1), by_cell[:, beside], by_cell @ by_water.ravel()]
             ),
             curve=curve,
         )
@@ -219,14 +220,6 @@ def adjoin(panel: Panel, body: Mask, load: Mask) -> bool:
     nearest = np.fmin.reduce(distance, axis=1, initial=np.inf)
     least, most = ADJOINS_PITCHES
     return bool(np.any((nearest > least) & (nearest < most)))
-
-
-def _by_water(frame: Observation, rise: Array) -> Array:
-    """Return ∂(ln r/r0)/∂p of all cells at x = `rise`, (cells,) 1/kPa: waves press on all alike."""
-    response = frame.baseline.response
-    pressure = response.pressure(rise / response.gains + response.logarithm(frame.water))
-    more, less = (response.logarithm(pressure + by) for by in (WAVE_KPA, -WAVE_KPA))
-    return np.asarray(response.gains * (more - less) / (2 * WAVE_KPA)).ravel()
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:

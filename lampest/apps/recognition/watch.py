@@ -16,13 +16,13 @@ import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.apps.recognition.breathing import WINDOW_S
+from lampest.apps.recognition.detector import Verdict, relieved_by_departure
+from lampest.apps.recognition.disc_search import StepTest
 from lampest.apps.recognition.hypotheses import RARE_LOG_ODDS
 from lampest.apps.recognition.leaks import Leaks, leaks_of
 from lampest.apps.recognition.observation import Observation, counting
-from lampest.apps.recognition.step_test import StepTest
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.swings import patterns_of
-from lampest.apps.recognition.verdict import Verdict, relieved_by_departure
 from lampest.apps.recognition.watch_parts import (
     FOLLOWS_S,
     MIN_FRAMES,
@@ -185,31 +185,33 @@ class Watch:
         if not watch.known:
             frame = watch._frame(watch.level.mean, time)
             if watch.setup.detector.calm(frame) is not None and watch._left(frame):
-                return watch._with_brief_load()._gone(watch.level.since_s)
+                brief = watch if watch._standing_look else watch._with_brief_load()
+                return brief._gone(watch.level.since_s)
         if time >= watch.next_s:
             watch = watch._resumed(watch.level.mean)
         if time >= watch.next_s and len(watch._since_step) >= MIN_FRAMES:
             watch = watch._looked(time)
-        return watch._heard(time) if watch.present and watch._recognised else watch
+        return watch._heard() if watch.present and watch._standing_look else watch
 
     def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """Return the watch after a frame, as `push`, with step detection only."""
         sigma = np.where(measured > 0, sigma, np.inf)
-        faults = dict(self.faults)
+        at_rest = np.exp(self.rest.mean).reshape(measured.shape)
+        opened = list[str]()
         if self.setup.scene.circuit.unit == "ohm":
-            at_rest = np.exp(self.rest.mean).reshape(measured.shape)
             sigma, opened = without_open_lines(measured, sigma, at_rest)
-            for line in opened:
-                faults.setdefault(line, time)
+        faults = dict(self.faults)
+        faults |= {line: faults.get(line, time) for line in opened}
         counts = np.isfinite(sigma).ravel()
-        logarithm = np.where(
-            counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.level.mean
-        )
+        logarithm = self.level.mean.copy()
+        logarithm[counts] = np.log(measured.ravel()[counts])
         # the median of three frames, so that a single wrong reading is no step
         shown = np.median([*self.recent, logarithm], axis=0)
-        sigma = counting(sigma, np.exp(self.rest.mean).reshape(sigma.shape))
         watch = replace(
-            self, recent=(self.recent[-1], logarithm), sigma=sigma, faults=tuple(faults.items())
+            self,
+            recent=(self.recent[-1], logarithm),
+            sigma=counting(sigma, at_rest),
+            faults=tuple(faults.items()),
         )
         return watch._stepped(shown, logarithm, time)
 
@@ -262,13 +264,8 @@ class Watch:
         return self.history
 
     @property
-    def _recognised(self) -> bool:
-        """Whether the load on the panel was recognised before or since the last step."""
-        return self._standing_look is not None
-
-    @property
     def _standing_look(self) -> Look | None:
-        """The last recognition of the load on the panel; None without one."""
+        """The last recognition of the load on the panel, also before the last step, or None."""
         return None if self.look is None or self.look.over else self.look
 
     @property
@@ -291,13 +288,16 @@ class Watch:
         time : float
             s.
         """
-        scores = self.test.scores(shown - self.level.mean)
-        if not np.any(scores >= self._least_step(time)):
+        if not self._steps_to(shown, time):
             return self._continued(shown, logarithm, time)
         resumed = self._resumed(shown)
         if resumed is not self:
             return resumed._stepped(shown, logarithm, time)
         begun_s = self.level.until_s
+        film_sd = self.film_sd
+        if not self.present and self.look is not None:  # the residue of the loads that left before
+            residue = self.setup.errors.residue * self.look.reached.ravel()
+            film_sd = residue * self.look.fading(begun_s)
         window = latest((*self.window, (time, logarithm)))
         return replace(
             self,
@@ -308,7 +308,7 @@ class Watch:
             known=False,
             next_s=begun_s + FIRST_S,
             unloaded=self.unloaded or self._unloaded_panel(),
-            film_sd=self.film_sd if self.present else self._residue_sd(begun_s),
+            film_sd=film_sd,
             former=replace(self, former=None) if self.present else None,
         )
 
@@ -335,10 +335,7 @@ class Watch:
         Otherwise the state is unchanged.
         """
         former = self.former
-        if former is None:
-            return self
-        least = former._least_step(former.level.until_s)
-        if np.any(former.test.scores(logarithm - former.level.mean) >= least):
+        if former is None or former._steps_to(logarithm, former.level.until_s):
             return self
         return replace(
             former,
@@ -349,15 +346,19 @@ class Watch:
             faults=self.faults,
         )
 
+    def _steps_to(self, logarithm: Array, time: float) -> bool:
+        """Return whether readings ln y at a time in s are a step from the level."""
+        scores = self.test.scores(logarithm - self.level.mean)
+        return bool(np.any(scores >= self._least_step(time)))
+
     def _least_step(self, time: float) -> Array:
         """Return thresholds of the scores, (discs,): parts of the load or of a fading residue."""
         look = self.look
-        if not self.present:
-            size: Array | float = 0.0 if look is None else look.size * look.fading(time)
-        elif self.known and look is not None and not look.over:
-            size = look.size
-        else:
+        size: Array | float = 0.0
+        if self.present and not (self.known and self._standing_look):
             size = self.test.sizes(self.level.mean - self.rest.mean)
+        elif look is not None:
+            size = look.size * (1.0 if self.present else look.fading(time))
         return np.maximum(self.test.least(), MIN_CHANGE * size)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
@@ -401,19 +402,23 @@ class Watch:
         if watch is self:
             return self, frame
         begun_s = time if self.known else self.level.since_s
-        loads = tuple(load.with_new_reference() for load in self.attachments)
+        # The next sample of suction begins anew, because the readings have changed otherwise.
+        loads = tuple(
+            replace(load, track=load.track and replace(load.track, moves=-1))
+            for load in self.attachments
+        )
         leaks_since_s = min(self.leaks_since_s, begun_s)
         return replace(watch, leaks_since_s=leaks_since_s, attachments=loads), frame
 
     def _left(self, frame: Observation) -> bool:
-        """Return whether a frame shows no more of each load than the film's residue.
-
-        The result is True without a load. The common change by temperature is subtracted.
-        """
+        """Return whether a frame shows no more of each load than the film's residue, or of none."""
         return all(self._has_left(load, frame) for load in self._standing)
 
     def _has_left(self, load: Attachment, frame: Observation) -> bool:
-        """Return whether a frame shows no more of one load than the film's residue."""
+        """Return whether a frame shows no more of one load than the film's residue.
+
+        The common change by temperature is subtracted.
+        """
         if load.held is None or self.look is None:
             return True
         change = frame.free_map - self._common(frame.free_map)
@@ -431,12 +436,6 @@ class Watch:
         look = self._standing_look
         free = change if look is None else change[look.verdict.changed == 0]
         return float(np.median(free)) if free.size else 0.0
-
-    def _residue_sd(self, time: float) -> Array | float:
-        """Return `film_sd` by the residue of the loads that left before."""
-        look = self.look
-        share = self.setup.errors.residue
-        return 0.0 if look is None else share * look.fading(time) * look.reached.ravel()
 
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` after a step of the recognised load.
@@ -479,14 +478,7 @@ class Watch:
         On a mat its contacts are recognised, from the frames in which it stood. Suction is not
         known so soon, so on other panels only the time of the load is noted.
         """
-        if self._recognised:
-            return self
-        least = self.test.least()
-        stood = [
-            (at, logarithm)
-            for at, logarithm in self.window
-            if np.any(self.test.scores(logarithm - self.rest.mean) >= least)
-        ]
+        stood = [frame for frame in self.window if self._stands_out_in(frame[1])]
         if len(stood) < MIN_FRAMES:
             return self
         times, logarithms = zip(*stood, strict=True)
@@ -529,16 +521,21 @@ class Watch:
         if not quiet:
             sizes = self.test.sizes(self.level.mean - self.rest.mean)
             look = Look.after(self.look, verdict, sizes, time)
-            first = not self._recognised and not self.attachments
+            first = self._standing_look is None and not self.attachments
             if first and relieved_by_departure(verdict) and self.setup.explained():
                 return replace(self, look=look, history=LEFT.format(since))._gone(since)
-            patterns = patterns_of(verdict, self.test.whitening)
-            any_form = self.setup.detector.any_form
-            loads = attachments_of(verdict, since, patterns, any_form=any_form)
+            loads = attachments_of(
+                verdict,
+                since,
+                patterns_of(verdict, self.test.whitening),
+                any_form=self.setup.detector.any_form,
+            )
         watch = replace(self, known=True, next_s=again, former=None)
-        if not loads and not quiet and not self._recognised:
+        if not loads and not quiet and self._standing_look is None:
             return replace(watch, history=RELIEVED)
-        if not loads and self._left(frame) and not (quiet and self._shown):
+        # the readings may still show a load that was recognised since the last step
+        shown = quiet and self.known and self._stands_out_in(self.level.mean)
+        if not loads and self._left(frame) and not shown:
             return self._gone(time if self.known else since)
         has_left = partial(self._has_left, frame=frame)
         attachments = continued_by(
@@ -556,11 +553,10 @@ class Watch:
             ),
         )
 
-    @property
-    def _shown(self) -> bool:
-        """Whether the readings still show a load that was recognised since the last step."""
-        scores = self.test.scores(self.level.mean - self.rest.mean)
-        return self.known and bool(np.any(scores >= self.test.least()))
+    def _stands_out_in(self, logarithm: Array) -> bool:
+        """Return whether readings ln y show a load on the panel at rest."""
+        scores = self.test.scores(logarithm - self.rest.mean)
+        return bool(np.any(scores >= self.test.least()))
 
     def _is_residue(self, verdict: Verdict) -> bool:
         """Return whether a step has left no more than the film's residue of all loads.
@@ -578,7 +574,7 @@ class Watch:
         residues = NOISE_REACH * self.setup.errors.residue * look.reached
         return bool(np.sum(remains**2) <= np.sum(remains * residues))
 
-    def _heard(self, time: float) -> "Watch":
+    def _heard(self) -> "Watch":
         """Return the watch with judged breath and suction of every load.
 
         A breath is judged at most once in JUDGED_S, suction once in BLOCK_S. The last frame is left
@@ -588,11 +584,12 @@ class Watch:
         assert self.look is not None
         verdict = self.look.verdict
         whitening = self.test.whitening
-        loads = list[Attachment]()
-        for load in self.attachments:
+        loads = list(self.attachments)
+        for number, load in enumerate(loads):
             if load.present and load.patterns is not None:
-                load = load.sampled(self.window, whitening, verdict.frame)
+                loads[number] = load.sampled(self.window, whitening, verdict.frame)
                 if self.known:
-                    load = load.listened(self.window[:-1], self.steps, whitening, verdict)
-            loads.append(load)
+                    loads[number] = loads[number].listened(
+                        self.window[:-1], self.steps, whitening, verdict
+                    )
         return replace(self, attachments=tuple(loads))

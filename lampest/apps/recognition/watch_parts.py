@@ -1,21 +1,26 @@
-"""Parts of a watch: its constants, intervals without a step, and recognitions of a load."""
+"""Parts of a watch: its constants, intervals without a step, recognitions and holds of loads."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from lampest.apps.recognition.breathing import WINDOW_S
-from lampest.apps.recognition.detector import Detector
+from lampest.apps.recognition.detector import Detector, Verdict
 from lampest.apps.recognition.leaks import Leaks
-from lampest.apps.recognition.model_errors import ModelErrors
-from lampest.apps.recognition.observation import Baseline, Observation, patch_of
-from lampest.apps.recognition.recognition_scene import RecognitionScene
-from lampest.apps.recognition.verdict import Verdict
+from lampest.apps.recognition.model_errors import ModelErrors, RecognitionScene
+from lampest.apps.recognition.observation import (
+    Baseline,
+    Observation,
+    nothing_shared,
+    patch_of,
+)
+from lampest.apps.recognition.suction import MIN_RISE
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH
-from lampest.panel.conditions import motion_patterns, moved_by_water, water_pressure
-from lampest.panel.panel import Array
+from lampest.panel.conditions import motion_patterns, water_pressure
+from lampest.panel.panel import Array, Mask
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 
@@ -27,13 +32,12 @@ DEVIATION_ROUNDS = 12  # of weighted least squares, which approach least absolut
 # mouths raise up to five cells of a row of ten.
 OPEN_RATIO = 2.0
 OPEN_SHARE = 0.8
+# Of the square of a load's change, which a later recognition of it shows in the same place. A slide
+# gives less, and a rim that begins to suck.
+KEPT_SHARE = 0.8
+
 # Times in s, and readings ln y, (cells,).
 Frames = tuple[tuple[float, Array], ...]
-
-
-def assumed_to_explain() -> bool:
-    """Return True, the outcome for a circuit that was not checked."""
-    return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,26 +51,32 @@ class WatchSetup:
     water : array, shape (rows, columns)
         Pressure of the water, kPa.
     errors : ModelErrors
-    common : callable or None
-        Returns a root (cells, n) of the covariance of random errors that a frame's readings share,
-        given the readings (rows, columns); None where there are none.
+    noise : FrameNoise or None
+        Random errors that a frame's readings share; its motion of the water does not count.
     motion : array, shape (3,) or (0,)
         Motion of the water, see `FrameNoise`; none in still water.
     explained : callable
-        Returns whether the circuit explains the readings. Few loads need to know.
+        Returns whether the circuit explains the readings, by default that it does. Few loads need
+        to know.
     """
 
     scene: RecognitionScene
     detector: Detector
     water: Array
     errors: ModelErrors
-    common: Callable[[Array], Array] | None = None
-    explained: Callable[[], bool] = assumed_to_explain
+    noise: FrameNoise | None = None
+    explained: Callable[[], bool] = lambda: True
     motion: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def of(cls, scene: Scene, errors: ModelErrors, patch_mm: float | None = None) -> "WatchSetup":
-        """Return the constants of a scene, without errors that the readings of a frame share.
+    def of(
+        cls,
+        scene: Scene,
+        errors: ModelErrors,
+        patch_mm: float | None = None,
+        noise: FrameNoise | None = None,
+    ) -> "WatchSetup":
+        """Return the constants of a scene.
 
         Parameters
         ----------
@@ -74,18 +84,13 @@ class WatchSetup:
         errors : ModelErrors
         patch_mm : float or None
             Edge of a cell's film; None where it is not specified.
+        noise : FrameNoise or None
+            Random errors that the readings of a frame share.
         """
         detector = Detector(patch_of(scene.panel, patch_mm), any_form=scene.purpose == "mat")
-        return cls(scene, detector, water_pressure(scene.panel, scene.water), errors)
-
-    def with_noise(self, noise: FrameNoise) -> "WatchSetup":
-        """Return the constants with random errors that the readings of a frame share."""
-        electronic = replace(noise, motion=np.zeros(0))
-
-        def common(measured: Array) -> Array:
-            return electronic.columns(measured[None], baseline=False)
-
-        return replace(self, common=common, motion=noise.motion)
+        motion = np.zeros(0) if noise is None else noise.motion
+        water = water_pressure(scene.panel, scene.water)
+        return cls(scene, detector, water, errors, noise, motion=motion)
 
     def frame(
         self, measured: Array, sigma: Array, baseline: Baseline, seconds: float = 0.0
@@ -94,9 +99,7 @@ class WatchSetup:
 
         The σ is that of one frame because films err equally in all.
         """
-        shared = self.common is not None or self.motion.size
-        common = self._common if shared else None
-        return Observation(measured, sigma, baseline, self.water, seconds, common=common)
+        return Observation(measured, sigma, baseline, self.water, seconds, common=self._common)
 
     def baseline(self, measured: Array, sigma: Array, frames: float, leaks: Leaks = ()) -> Baseline:
         """Return the baseline from the mean of `frames` unloaded frames; σ is that of one frame.
@@ -104,7 +107,7 @@ class WatchSetup:
         With leaks the readings are those that the panel would have with them.
         """
         scale = frames**-0.5
-        common = None if self.common is None else scale * self.common(measured)
+        common = scale * self._electronic(measured)
         return Baseline.of(measured, scale * sigma, self.scene, self.moved_errors, common, leaks)
 
     @property
@@ -130,7 +133,7 @@ class WatchSetup:
         for _ in range(DEVIATION_ROUNDS):
             amplitudes, *_ = np.linalg.lstsq(weights[:, None] * patterns, weights * change)
             remaining = change - patterns @ amplitudes
-            usual = float(np.median(np.abs(remaining)))
+            usual = np.median(np.abs(remaining))
             weights = 1 / np.sqrt(np.maximum(np.abs(remaining), max(usual / 10, 1e-9)))
         errors = self.errors.in_motion(np.maximum(np.abs(amplitudes), self.motion))
         motion = np.full(len(self.motion), MAD_TO_SIGMA * usual)
@@ -138,10 +141,16 @@ class WatchSetup:
 
     def _common(self, readings: Array) -> Array:
         """Return a root (cells, n) of the covariance of errors that a frame's readings share."""
-        parts = [] if self.common is None else [self.common(readings)]
-        if self.motion.size:
-            parts.append(moved_by_water(readings, self.motion).reshape(-1, readings.size).T)
-        return np.hstack(parts)
+        count = len(self.motion)
+        moved = self.motion[:, None, None] * motion_patterns(readings.shape)[:count] * readings
+        return np.hstack([self._electronic(readings), moved.reshape(count, readings.size).T])
+
+    def _electronic(self, readings: Array) -> Array:
+        """Return the part of `_common` that does not come from the water."""
+        if self.noise is None:
+            return nothing_shared(readings)
+        electronic = replace(self.noise, motion=np.zeros(0))
+        return electronic.columns(readings[None], baseline=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,3 +266,66 @@ def without_open_lines(measured: Array, sigma: Array, at_rest: Array) -> tuple[A
         np.moveaxis(remaining, axis, 0)[opened] = np.inf
         lines += [f"{name} {number}" for number in opened]
     return remaining, lines
+
+
+class Hold(NamedTuple):
+    """Change of the cells of one load.
+
+    Attributes
+    ----------
+    change, sd : array, shape (rows, columns)
+        ln r/r0 and its standard deviation; the change is 0 beside the load.
+    """
+
+    change: Array
+    sd: Array
+
+    @property
+    def _clear(self) -> Mask:
+        """Cells that have clearly changed, boolean (rows, columns)."""
+        return np.abs(self.change) > NOISE_REACH * self.sd
+
+    @property
+    def risen(self) -> Mask:
+        """Cells that clearly rose as under suction, boolean (rows, columns)."""
+        return self._clear & (self.change > MIN_RISE)
+
+    def followed_by(self, later: "Hold") -> "Hold":
+        """Return the hold of the load when it was weakest in its place.
+
+        Where a later recognition shows what the load changed before, that stays, whatever else has
+        changed beside it. Cells that the later one does not show say nothing.
+        """
+        size = np.abs(self.change)
+        counts = self._clear & (size > later.sd)
+        shown = np.clip(later.change * np.sign(self.change), 0.0, size)
+        kept = np.sum((shown * size)[counts]) >= KEPT_SHARE * np.sum(size[counts] ** 2)
+        return self if kept and np.any(self._clear) else later
+
+    def has_left(self, change: Array, sd: Array, reached: Array, residue: float) -> bool:
+        """Return whether the cells show no more of the load than the film's residue.
+
+        With the change h of the load, and the residue ρR of the largest change R of each cell, it
+        has left if
+
+            Σ |h| x sgn h ≤ Σ |h| min(NOISE_REACH ρR, (|h| + ρR)/2):
+
+        the readings are nearer to the residue than to the load. Cells whose standard deviation is
+        larger than h say nothing. If that holds for all of them, the load has not left.
+
+        Parameters
+        ----------
+        change, sd : array, shape (rows, columns)
+            x = ln r/r0 and its standard deviation.
+        reached : array, shape (rows, columns)
+            R, the largest |ln r/r0| since the load arrived.
+        residue : float
+            ρ, the standard deviation of the residue over R.
+        """
+        size = np.abs(self.change)
+        residues = residue * np.maximum(reached, size)
+        counts = self._clear & (size > sd)
+        if np.any(self._clear) and not np.any(counts):
+            return False
+        most = np.minimum(NOISE_REACH * residues, (size + residues) / 2)
+        return bool(np.sum((change * self.change)[counts]) <= np.sum((size * most)[counts]))

@@ -6,7 +6,7 @@ from promises import promise
 
 from docs.studies.contacts import MAT, trial
 from lampest import Panel
-from lampest.apps.recognition.contacts import contacts_of
+from lampest.apps.recognition.suction import contacts_of
 
 PANEL = Panel(12, 14, 20.0)
 SD = np.full(PANEL.shape, 0.02)

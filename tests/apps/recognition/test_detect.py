@@ -38,9 +38,10 @@ from lampest.apps.recognition.detect.answer import (
 from lampest.apps.recognition.detect.detection import (
     Known,
     detect_recording,
+    detect_results,
     known_of,
+    known_of_case,
 )
-from lampest.apps.recognition.detect.of_results import detect_results, known_of_case
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.scan_order import by_columns

@@ -35,9 +35,10 @@ from lampest import (
 from lampest.apps.recognition.attachment import Attachment, attachments_of
 from lampest.apps.recognition.detect.answer import PRESSES, answer_of
 from lampest.apps.recognition.detect.detection import detect_recording
-from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.field import (
+from lampest.apps.recognition.detector import (
     SD,
+    Detector,
+    Verdict,
     field_fit,
     potts_cost,
     prior,
@@ -46,7 +47,6 @@ from lampest.apps.recognition.field import (
 )
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.observation import Baseline, Observation, counting
-from lampest.apps.recognition.verdict import Verdict
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.levels import MAX_MEAN_SQUARE

@@ -10,8 +10,7 @@ from laws.test_shapes import PANEL, ROUND_SHAPES, load_of
 from lampest import Array, Panel
 from lampest.apps.recognition import mouth_model
 from lampest.apps.recognition.disc_search import Template
-from lampest.apps.recognition.patches import Unevenness, pressure_at_places
-from lampest.apps.recognition.sucking_disc import SuckingDisc
+from lampest.apps.recognition.mouth_model import EVEN, SuckingDisc, Unevenness, pressure_at_places
 from lampest.apps.recognition.suction import suctions
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.response import PUBLISHED
@@ -64,7 +63,7 @@ def test_recognition_and_simulation_share_one_pressure(kind: type[RoundShape]) -
     )
     disc = load.disc()
     sampled = np.sum(load.mean_pressure(PANEL, 6.0), axis=0)
-    smooth = pressure_at_places(PANEL.places_mm, 6.0, disc)[0]
+    (smooth,) = pressure_at_places(PANEL.places_mm, 6.0, np.array([*disc, *EVEN]))
     largest = max(disc.rim_kpa, -disc.suction_kpa)
     assert np.abs(sampled - smooth).max() < largest / (2 * POINTS)
     if kind is OralDisc:
@@ -110,6 +109,6 @@ def test_pressures_equal_those_of_fine_sampling(seed: int) -> None:
     form = Unevenness(
         *map(float, rng.uniform(-0.1, 0.1, 2)), *map(float, rng.uniform(-0.3, 0.3, 2))
     )
-    pressure, _ = pressure_at_places(OBLONG.places_mm, 6.0, disc, form)
+    (pressure,) = pressure_at_places(OBLONG.places_mm, 6.0, np.array([*disc, *form]))
     expected = sampled(disc, form, 6.0)
     assert np.abs(pressure - expected).max() < MAX_EDGE_ERROR * (disc.rim_kpa - disc.suction_kpa)

@@ -35,12 +35,12 @@ from lampest.apps.recognition.detect.detection import Known, known_of, measured_
 from lampest.apps.recognition.detect.timeline import timeline
 from lampest.apps.recognition.detect.visits import COLUMNS, count_table, visits_of
 from lampest.apps.recognition.detector import Detector
-from lampest.apps.recognition.hold import Hold
 from lampest.apps.recognition.pumping import Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames
 from lampest.apps.recognition.suction import UNRISEN
 from lampest.apps.recognition.swings import Patterns
 from lampest.apps.recognition.watch import Watch
+from lampest.apps.recognition.watch_parts import Hold
 from lampest.inference.prepared import Prepared
 from lampest.recording.recording import MEASURED
 

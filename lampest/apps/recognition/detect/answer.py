@@ -1,8 +1,9 @@
 """Answer of `lampest detect`: a sentence, attachments and events; as a table, JSON and a file."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,9 +30,6 @@ MIN_PUMP_MINUTES = 10.0  # three of the longest published intervals between pump
 # Assumed longest pause between two contacts of one disturbance, s: plants wave and bodies beat
 # several times a minute, and a visit after a longer pause counts as another.
 MAX_PAUSE_S = 20.0
-TOO_SMALL = "it is too small for this pitch: no cell would show whether it sucks"
-SHAKEN = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
-FAINT = "no breath shows, but no full window excludes one as deep as a mouth's"
 CHANCES = {
     "sucks": ("1", "probability that it sucks"),
     "breathes": ("1", "probability that its suction changes as breathing does"),
@@ -55,16 +53,6 @@ PAIRS = {
     "area_mm2": ("mm2", "area of the touched cells"),
     "conductance_s": ("S", "conductance of the touched cells beyond that at rest"),
 }
-EVENT_HEADERS = (
-    "recording",
-    "time [s]",
-    "event",
-    "what",
-    "x, y [mm]",
-    "diameter [mm]",
-    "inside [kPa]",
-    "breathing [Hz]",
-)
 
 
 class Event(NamedTuple):
@@ -201,9 +189,6 @@ class Detected:
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
         visits = sum(name in (LAMPREY, SUCKS, CUP) for name in self.called)
         earlier = f"{headline(self.called)}; last: " if visits > 1 else ""
-        return f"{earlier}{self._described(load, present)} ({odds}){why}"
-
-    def _described(self, load: Attachment, present: Sequence[Attachment]) -> str:
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(
             self.answer, self.answer
         )
@@ -218,7 +203,7 @@ class Detected:
         others = len(present) - load.present
         if others:
             messages.append(f"and {others} more")
-        return ", ".join(messages)
+        return f"{earlier}{', '.join(messages)} ({odds}){why}"
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -269,24 +254,16 @@ def disturbances(attachments: Sequence[Attachment]) -> tuple[Attachment, ...]:
     """
     joined = list[Attachment]()
     for load in sorted(attachments, key=lambda attachment: attachment.since_s):
-        number = next(
-            (number for number in range(len(joined)) if _returns(joined[number], load)), None
-        )
-        if number is None:
-            joined.append(load)
+        for number, former in enumerate(joined):
+            pause_s = load.since_s - (inf if former.until_s is None else former.until_s)
+            presses = max(former.sucks, load.sucks) <= 0.5
+            if presses and 0 <= pause_s <= MAX_PAUSE_S and former.adjoins(load):
+                clearest = max(former, load, key=lambda contact: contact.clear)
+                joined[number] = replace(clearest, since_s=former.since_s, until_s=load.until_s)
+                break
         else:
-            former = joined[number]
-            clearest = max(former, load, key=lambda contact: contact.clear)
-            joined[number] = replace(clearest, since_s=former.since_s, until_s=load.until_s)
+            joined.append(load)
     return tuple(joined)
-
-
-def _returns(former: Attachment, load: Attachment) -> bool:
-    """Return whether a contact is one of the same disturbance as a former one, which has left."""
-    if former.until_s is None or former.sucks > 0.5 or load.sucks > 0.5:
-        return False
-    pause_s = load.since_s - former.until_s
-    return 0 <= pause_s <= MAX_PAUSE_S and former.adjoins(load)
 
 
 def answer_of(
@@ -313,44 +290,36 @@ def answer_of(
     alive = load.sucks * load.lives
     lifeless = load.sucks * (1 - load.lives)
     if load.sucks <= 0.5:
-        return PRESSES, 1 - load.sucks, TOO_SMALL if load.small else ""
+        small = "it is too small for this pitch: no cell would show whether it sucks"
+        return PRESSES, 1 - load.sucks, small if load.small else ""
     if alive >= threshold:
         return LAMPREY, alive, ""
     if too_slow(rate):
-        why = f"{too_slow(rate)}; {_pumps_in_words(load)}"
+        minutes = 0.0 if load.track is None else load.track.observed_s / 60
+        pumps = "whether suction is pumped up again shows within minutes"
+        if minutes >= MIN_PUMP_MINUTES:
+            pumps = (
+                f"in {minutes:.0f} minutes it was not pumped up in a way "
+                f"that tells a mouth (P = {load.pumps:.2f})"
+            )
+        why = f"{too_slow(rate)}; {pumps}"
     elif breath.odds > 0 and breath.suction < 0.5:
-        why = SHAKEN
+        why = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
+    elif breath.hertz is None and np.isfinite(breath.judged_s):
+        why = (
+            "its readings are never steady for long enough to show breathing, "
+            "or too many frames are missing"
+        )
     elif breath.hertz is None:
-        why = _silence_in_words(load)
+        after = f"it moved at {load.moved_s[-1]:.1f} s, and " if load.moved_s else ""
+        why = f"{after}breathing shows when it has been in its place for {MIN_WINDOW_S:g} s"
     elif lifeless < threshold:
         why = f"whether it breathes is not clear (P = {load.breathes:.2f})"
     elif breath.max_depth < MIN_DEPTH:
         return CUP, lifeless, ""
     else:
-        why = FAINT
+        why = "no breath shows, but no full window excludes one as deep as a mouth's"
     return SUCKS, load.sucks, why
-
-
-def _pumps_in_words(load: Attachment) -> str:
-    """Return the evidence of pumps in words, where breathing does not show."""
-    minutes = 0.0 if load.track is None else load.track.observed_s / 60
-    if minutes < MIN_PUMP_MINUTES:
-        return "whether suction is pumped up again shows within minutes"
-    return (
-        f"in {minutes:.0f} minutes it was not pumped up in a way "
-        f"that tells a mouth (P = {load.pumps:.2f})"
-    )
-
-
-def _silence_in_words(load: Attachment) -> str:
-    """Return the reason why no breath is known yet."""
-    if np.isfinite(load.breath.judged_s):
-        return (
-            "its readings are never steady for long enough to show breathing, "
-            "or too many frames are missing"
-        )
-    after = f"it moved at {load.moved_s[-1]:.1f} s, and " if load.moved_s else ""
-    return f"{after}breathing shows when it has been in its place for {MIN_WINDOW_S:g} s"
 
 
 def headline(called: Sequence[str]) -> str:
@@ -358,19 +327,15 @@ def headline(called: Sequence[str]) -> str:
 
     If there are only contacts, the text is their number, such as '3 contacts'.
     """
-    lampreys = called.count(LAMPREY)
-    unsure = called.count(SUCKS)
-    cups = called.count(CUP)
+    lampreys, unsure, cups = map(called.count, (LAMPREY, SUCKS, CUP))
     contacts = len(called) - lampreys - unsure - cups
     if called and contacts == len(called):
         return counted(contacts, "contact")
-    further = (
-        (unsure, f"{unsure} unsure"),
-        (cups, counted(cups, "suction cup")),
-        (contacts, counted(contacts, "other contact")),
-    )
-    lines = [counted(lampreys, "lamprey visit"), *(text for count, text in further if count)]
-    return ", ".join(lines)
+    messages = [counted(lampreys, "lamprey visit")]
+    messages += [f"{unsure} unsure"] * (unsure > 0)
+    messages += [counted(cups, "suction cup")] * (cups > 0)
+    messages += [counted(contacts, "other contact")] * (contacts > 0)
+    return ", ".join(messages)
 
 
 def alarming(detected: Detected) -> list[float]:
@@ -428,7 +393,8 @@ def event_table(answers: Sequence[Detected]) -> Table:
             place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
             numbers = map(_shown, (load.diameter_mm, load.suction_kpa, load.breathing_hz))
             rows.append((answer.recording, f"{time:.1f}", kind, called[number], place, *numbers))
-    return Table(EVENT_HEADERS, tuple(rows))
+    shape = ("x, y [mm]", "diameter [mm]", "inside [kPa]", "breathing [Hz]")
+    return Table(("recording", "time [s]", "event", "what", *shape), tuple(rows))
 
 
 def load_table(answers: Sequence[Detected]) -> Table:
@@ -480,19 +446,24 @@ def write_detections(path: Path, answers: Sequence[Detected]) -> Path:
             hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
             if answer.attachments:
                 _write_attachments(_collection(group, "attachments"), content["attachments"])
-                _write_events(_collection(group, "events"), answer.events)
+                kinds, times, numbers = zip(*answer.events, strict=True)
+                write = _collection(group, "events")
+                names = hdf5.ascii_array(kinds)
+                write("event", names, "1", "touched, attached, moved or released")
+                write("time", np.array(times), "s", "when it was first seen")
+                write("attachment", np.array(numbers), "1", "number of the attachment")
     return path
 
 
-def _collection(entry: Any, name: str) -> Any:
+def _collection(entry: Any, name: str) -> Callable[..., None]:
+    """Return the writer of datasets of a new collection."""
     group = entry.create_group(name)
     hdf5.set_attributes(group, NX_class="NXcollection")
-    return group
+    return partial(hdf5.write_dataset, group)
 
 
-def _write_attachments(group: Any, loads: Sequence[dict[str, Any]]) -> None:
+def _write_attachments(write: Callable[..., None], loads: Sequence[dict[str, Any]]) -> None:
     """Write attachments as in `Detected.content`."""
-    write = partial(hdf5.write_dataset, group)
     write("answer", hdf5.ascii_array([load["answer"] for load in loads]), "1", "what it is")
     reasons = hdf5.ascii_array([load["why"] for load in loads])
     write("why", reasons, "1", "why the answer is no more specific")
@@ -504,11 +475,3 @@ def _write_attachments(group: Any, loads: Sequence[dict[str, Any]]) -> None:
         values, errors = np.array([load[name] or (None, None) for load in loads], dtype=float).T
         write(name, values, units, text)
         write(f"{name}{ERRORS}", errors, units, f"standard deviation: {text}")
-
-
-def _write_events(group: Any, events: Sequence[Event]) -> None:
-    kinds, times, numbers = zip(*events, strict=True)
-    write = partial(hdf5.write_dataset, group)
-    write("event", hdf5.ascii_array(kinds), "1", "touched, attached, moved or released")
-    write("time", np.array(times), "s", "when it was first seen")
-    write("attachment", np.array(numbers), "1", "number of the attachment")

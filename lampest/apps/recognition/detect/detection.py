@@ -1,12 +1,14 @@
-"""Recognition of attachments in recordings, frame by frame of the readings."""
+"""Recognition of attachments in recordings and results, frame by frame of the readings.
+
+Results hold the readings with their noise.
+"""
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from operator import ne
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from lampest.apps.recognition.detect.answer import MIN_PROBABILITY, Detected
 from lampest.apps.recognition.image import ImageWatch
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.apps.recognition.watch import MAX_CELLS, Watch
-from lampest.apps.recognition.watch_parts import WatchSetup, assumed_to_explain
+from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.files.errors import InputError
 from lampest.files.hdf5 import format_of
 from lampest.files.levels import NOISE_REACH
@@ -30,7 +32,7 @@ from lampest.inference.warnings import warnings_of
 from lampest.panel.panel import Array, Mask
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import Readings, Sidedness
+from lampest.recording.readings import Readings, Sidedness, stand_in
 from lampest.recording.recording import (
     MEASURED,
     TOUCHED,
@@ -40,8 +42,12 @@ from lampest.recording.recording import (
     baseline_readings,
 )
 from lampest.recording.stored import StoredRecording
+from lampest.runs.case import CaseResult
 from lampest.runs.checks import kept_check
+from lampest.runs.executors import each_of
+from lampest.runs.filling import frame_noise_of
 from lampest.runs.provenance import digest
+from lampest.runs.results import Results
 
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = (
@@ -79,16 +85,14 @@ class Known:
         Random errors that the readings of a frame share.
     notes : tuple of str
         Assumptions.
+    explained : callable
+        Returns whether the circuit explains the readings, as `WatchSetup` has it.
     patch_mm : float or None
         Edge of a cell's film; None where it is not specified.
     effects : CircuitEffects or None
         Effects that are taken off the readings.
-    explained : callable
-        Returns whether the circuit explains the readings, as `WatchSetup` has it.
     threshold : float
         Probability from which an attachment is called a lamprey, or a suction cup.
-    start_time : str or None
-        Date and time at 0 s.
     resting_side : array, shape (rows, columns), or None
         Sides of the unloaded readings that are bounds, see `Readings`; None: all are values.
     log_factor : array, shape (rows, columns), or None
@@ -105,11 +109,10 @@ class Known:
     reading_error: float
     noise: FrameNoise | None
     notes: tuple[str, ...]
+    explained: Callable[[], bool]
     patch_mm: float | None = None
     effects: CircuitEffects | None = None
-    explained: Callable[[], bool] = assumed_to_explain
     threshold: float = MIN_PROBABILITY
-    start_time: str | None = None
     resting_side: Array | None = None
     log_factor: Array | None = None
 
@@ -125,10 +128,10 @@ class Known:
                 f"loads are recognised on panels and modules of up to {MAX_CELLS} cells"
             )
         errors = ModelErrors().of_scene(self.scene, self.reading_error)
-        setup = WatchSetup.of(self.scene, errors, self.patch_mm)
-        setup = replace(setup, explained=self.explained)
-        if self.noise is not None and panel.modules is None:
-            setup = setup.with_noise(self.noise)
+        noise = self.noise if panel.modules is None else None
+        setup = replace(
+            WatchSetup.of(self.scene, errors, self.patch_mm, noise), explained=self.explained
+        )
         kind: type[Watch] | type[ImageWatch] = Watch if panel.modules is None else ImageWatch
         return kind.begin(setup, self.resting, self.sigma, self.unloaded, self.begin)
 
@@ -172,7 +175,8 @@ class Known:
         """
         attachments = watch.attachments
         response = self.scene.response
-        rate = frame_rate(times)
+        # by the median step of time
+        rate = float(1 / np.median(np.diff(times))) if len(times) > 1 else 0.0
         if watch.doubt and not attachments:
             return replace(
                 Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course
@@ -206,7 +210,6 @@ class Known:
             mat=self.scene.purpose == "mat",
             warnings=leaks,
             threshold=self.threshold,
-            start_time=self.start_time,
             end_s=times[-1] if times else None,
         )
         return replace(detected, why=brief[-1]) if brief and not attachments else detected
@@ -259,11 +262,6 @@ def with_bounds_counted(
     return np.where(still, resting, value), np.where(known, sigma, counted)
 
 
-def frame_rate(times: Sequence[float]) -> float:
-    """Return the frames per second by the median step of their times in s; 0 for a single frame."""
-    return float(1 / np.median(np.diff(times))) if len(times) > 1 else 0.0
-
-
 def with_slow_waves(noise: FrameNoise | None, lasted_s: float) -> FrameNoise | None:
     """Return the noise with the motion of waves that are slower than the unloaded frames.
 
@@ -275,32 +273,26 @@ def with_slow_waves(noise: FrameNoise | None, lasted_s: float) -> FrameNoise | N
     return replace(noise, motion=noise.motion * max(1.0, slower))
 
 
-@dataclass(frozen=True, eq=False)
-class Unchecked:
-    """Answer to a recording whose circuit has not been checked yet.
+class Unchecked(NamedTuple):
+    """Answer to a recording whose circuit may not have been checked yet.
 
     Attributes
     ----------
     answer : Detected
-        With the warnings that need no check.
-    warnings : callable
-        Checks the circuit and returns all warnings.
-    waits : bool
-        Whether a check is to be made: not of results, without one, or with one that a run has kept.
+    doubts : callable or None
+        Checks the circuit and returns all warnings. None if no check is to be made: of results,
+        without one, or with one that a run has kept. The answer has its warnings then.
     """
 
     answer: Detected
-    warnings: Callable[[], Sequence[str]]
-    waits: bool
-
-    @classmethod
-    def never(cls, answer: Detected) -> "Unchecked":
-        """Return an answer that keeps its warnings, as those of results do."""
-        return cls(answer, lambda: answer.warnings, waits=False)
+    doubts: Callable[[], Sequence[str]] | None = None
 
     def checked(self) -> Detected:
-        """Return the answer with the warnings of the check."""
-        return _with_warnings(self.answer, self.warnings())
+        """Return the answer with all warnings that do not repeat it."""
+        warnings = self.answer.warnings if self.doubts is None else self.doubts()
+        repeating = (TOUCHED, UNEVENLY)
+        messages = (line for line in warnings if line and not line.startswith(repeating))
+        return replace(self.answer, warnings=tuple(messages))
 
 
 def detect_recording(path: Path, **options: Any) -> Detected:
@@ -342,53 +334,30 @@ def answer_recording(
     measured = np.flatnonzero(part.role == MEASURED)[:HEAD_FRAMES]
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
-    head = Prepared(stored.part(range(int(measured[-1]) + 1)))
+    head = Prepared(stored.part(range(measured[-1] + 1)))
     kept = kept_check(path, digest(path)) if check else None
-    explained = None if check else assumed_to_explain
-    if kept is not None:
-        explained = partial(ne, kept.mark, "no")
-    answer = known_of(head, patch_mm, explained)
+    settled = None if check and kept is None else lambda: kept is None or kept.mark != "no"
+    requested = range(stored.frames) if frames is None else frames
+
+    def looked_at(known: Known) -> Frames:
+        """Generate the requested measured frames, part by part."""
+        for block in stored.blocks:
+            measured = measured_frames(stored.part(block), known, np.isin(block, requested))
+            for done, frame in enumerate(measured, block[0]):
+                on_frame(done, stored.frames)
+                yield frame
+            on_frame(block[-1] + 1, stored.frames)
+
+    answer = known_of(head, patch_mm, settled)
     if isinstance(answer, Known):
-        requested = range(stored.frames) if frames is None else frames
-        looked_at = _looked_at(stored, answer, requested, on_frame)
-        answer = replace(answer, threshold=threshold).answer(looked_at)
+        answer = replace(answer, threshold=threshold).answer(looked_at(answer))
     answer = replace(answer, start_time=stored.start_time)
-    # leaks that began while the panel was watched
-    seen = answer.warnings
-    without = (*seen, *warnings_of(head.recording, recognition_noise(head), None))
-
-    def doubts() -> Sequence[str]:
-        if kept is not None:
-            return (*seen, *kept.warnings.split("\n"))
-        if not check:
-            return (*without, NOT_CHECKED)
-        return (*seen, *warnings_of(head.recording, recognition_noise(head), head.check))
-
-    return Unchecked(_with_warnings(answer, without), doubts, waits=check and kept is None)
-
-
-def _looked_at(
-    stored: StoredRecording, known: Known, requested: range, on_frame: Callable[[int, int], None]
-) -> Frames:
-    """Generate the requested measured frames of a recording, part by part."""
-    for block in stored.blocks:
-        measured = measured_frames(stored.part(block), known, np.isin(block, requested))
-        for done, frame in enumerate(measured, block[0]):
-            on_frame(done, stored.frames)
-            yield frame
-        on_frame(block[-1] + 1, stored.frames)
-
-
-def _with_warnings(answer: Detected, warnings: Sequence[str]) -> Detected:
-    """Return an answer with the warnings that do not repeat it."""
-    repeating = (TOUCHED, UNEVENLY)
-    messages = (line for line in warnings if line and not line.startswith(repeating))
-    return replace(answer, warnings=tuple(messages))
-
-
-def _explains(prepared: Prepared) -> bool:
-    """Return whether nothing contradicts the circuit of a recording."""
-    return prepared.check.explains is not False
+    seen = answer.warnings  # of leaks that began while the panel was watched
+    doubts = partial(warnings_of, head.recording, recognition_noise(head))
+    if kept is None and check:
+        return Unchecked(answer, lambda: (*seen, *doubts(head.check)))
+    known = (*doubts(None), NOT_CHECKED) if kept is None else kept.warnings.split("\n")
+    return Unchecked(replace(answer, warnings=(*seen, *known)))
 
 
 def known_of(
@@ -408,14 +377,17 @@ def known_of(
     seen = None if readings.sigma is None else recognition_noise(prepared)
     resting = baseline_readings(head, readings if seen is None else seen.readings)
     bounds = readings[unloaded].mean() if len(unloaded) else resting
-    if _open_at_rest(bounds, head.scene):
+    scene = head.scene
+    # The unloaded panel may be one of bounds, as open cells give them.
+    of_open = Sidedness.AT_LEAST if scene.circuit.unit == "ohm" else Sidedness.AT_MOST
+    opened = bounds.bounds & (bounds.side == of_open) & scene.requested
+    if not bounds.enough(scene) and 2 * opened.sum() >= scene.requested.sum():
         resting = bounds
-    elif not resting.enough(head.scene):
+    elif not resting.enough(scene):
         return Detected.unknown(head.name, "no frame has enough readings for a comparison")
     if touched(head):
         return Detected.unknown(head.name, TOUCHED)
     noise = None
-    scene = head.scene
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
@@ -437,9 +409,9 @@ def known_of(
         0.0 if seen is None else seen.reading_error,
         noise,
         notes,
+        explained or (lambda: prepared.check.explains is not False),
         patch_mm,
         None if seen is None else seen.corrected_effects,
-        explained or partial(_explains, prepared),
         log_factor=None if seen is None else seen.log_factor,
     )
     side = np.where(resting.seen > 0, resting.side, 0.0)
@@ -448,13 +420,6 @@ def known_of(
     # Repeats of a bound are the bound
     values = np.where(side != Sidedness.VALUE, resting.value, known.unloaded)
     return replace(known, resting_side=side, unloaded=values)
-
-
-def _open_at_rest(resting: Readings, scene: Scene) -> bool:
-    """Return whether the unloaded panel is one of bounds, as open cells give them."""
-    of_open = Sidedness.AT_LEAST if scene.circuit.unit == "ohm" else Sidedness.AT_MOST
-    opened = resting.bounds & (resting.side == of_open) & scene.requested
-    return not resting.enough(scene) and bool(2 * opened.sum() >= scene.requested.sum())
 
 
 def recognition_noise(prepared: Prepared) -> NoiseEstimate:
@@ -491,6 +456,81 @@ def noise_by_scatter(value: Array) -> tuple[Array, tuple[str, ...]]:
         "from differences of neighbouring frames"
     )
     return median * np.fmax(relative, max(size, 1e-6)), (message,)
+
+
+def detect_results(
+    results: Results,
+    patch_mm: float | None = None,
+    threshold: float = MIN_PROBABILITY,
+    on_case: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Detected]:
+    """Return the answer to every recording of a results file."""
+    of_case = partial(_of_case, patch_mm=patch_mm, threshold=threshold)
+    return each_of(of_case, [results.of(name)[0] for name in results.recordings()], on_case)
+
+
+def _of_case(case: CaseResult, patch_mm: float | None, threshold: float) -> Detected:
+    known, frames = known_of_case(case, patch_mm)
+    messages = tuple(filter(None, case.warnings.split("\n")))
+    answer = replace(known, threshold=threshold).answer(frames)
+    return replace(answer, warnings=(*answer.warnings, *messages), start_time=case.start_time)
+
+
+def known_of_case(case: CaseResult, patch_mm: float | None = None) -> tuple[Known, Frames]:
+    """Return the knowledge of a recording from its results, as from the recording itself.
+
+    Returns
+    -------
+    known : Known
+    frames : iterable of (array, array, float)
+        Values and σ, (rows, columns), and the time in s of each measured frame.
+    """
+    spread = case.sigma
+    notes = tuple[str, ...]()
+    period = float(np.median(np.diff(case.time))) if len(case.time) > 1 else 0.0
+    noise = frame_noise_of(case.frame_noise, case.scene)
+    # Results of earlier versions have the number of unloaded frames beside the noise that frames
+    # share.
+    count = case.unloaded_frames or (1 if noise is None else noise.unloaded)
+    if spread is None or case.sigma_baseline is None:
+        deviation, notes = noise_by_scatter(np.where(case.valued, case.measured, np.nan))
+        spread = np.broadcast_to(deviation, case.measured.shape)
+    else:
+        spread = _frame_sigma(case, spread, 1)
+        deviation = _frame_sigma(case, case.sigma_baseline, count)
+        deviation = np.minimum(deviation, spread[:HEAD_FRAMES].min(axis=0))
+    baseline = case.measured_baseline
+    baseline = np.where(np.isfinite(baseline), baseline, stand_in(baseline, np.isfinite(baseline)))
+    begin = float(case.time[0]) - period
+    known = Known(
+        case.recording,
+        case.scene,
+        baseline,
+        deviation,
+        # Results hold the mean of the unloaded frames alone.
+        np.repeat(baseline[None], count, axis=0),
+        begin,
+        case.reading_error,
+        with_slow_waves(noise, (count - 1) * period),
+        notes,
+        lambda: case.model_mark != "no",
+        patch_mm,
+    )
+    sides = np.where(case.valued, 0.0, np.nan)
+    if case.reading_side is not None:
+        bounded = np.isfinite(case.measured) & (case.reading_side != 0)
+        sides = np.where(bounded, case.reading_side, sides)
+    values, spread = with_bounds_counted(case.measured, spread, sides, baseline, None)
+    return known, zip(values, spread, map(float, case.time), strict=True)
+
+
+def _frame_sigma(case: CaseResult, sigma: Array, count: int) -> Array:
+    """Return σ of one frame's readings by the σ of the mean of `count` frames.
+
+    The error of the model is left out; averaging does not reduce it, see `scaled` of
+    `lampest.inference.model_error`.
+    """
+    return np.asarray(sigma * np.sqrt(count / (1 + count * (case.model_factor**2 - 1))))
 
 
 def recordings_in(paths: Sequence[Path]) -> list[Path]:

@@ -4,8 +4,8 @@ The loads are of any kind.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ POSITION_VARIANCE = 1 / 12  # of a uniform position within a cell, or of its cov
 HEADERS = ("centre x [mm]", "centre y [mm]", "area [mm²]", "peak [kPa]", "force [N]")
 
 
-@dataclass(frozen=True, eq=False)
-class PressedCells:
+class PressedCells(NamedTuple):
     """Centre, area, peak and force of one estimate.
 
     NaN where nothing presses or the frame was not solved.
@@ -91,7 +90,7 @@ def _frame(panel: Panel, touched: Mask, pressure: Array, own_sd: Array, common_s
     pairs = np.array(panel.neighbours[:2])
     both = touched.ravel()[pairs].all(axis=0)
     pressed_neighbours = np.bincount(pairs[:, both].ravel(), minlength=touched.size)
-    outline = int(np.sum(touched.ravel() & (pressed_neighbours < SIDES)))
+    outline = np.sum(touched.ravel() & (pressed_neighbours < SIDES))
     force = p.sum()
     # x̄ = Σ p x/Σ p with ∂x̄/∂p_i = (x_i − x̄)/Σ p, and pitch²/12 · Σ (p/Σ p)² for the position within
     # cells
@@ -102,7 +101,7 @@ def _frame(panel: Panel, touched: Mask, pressure: Array, own_sd: Array, common_s
         np.sqrt(sum_sd((at - middle) / force, own, common) ** 2 + within)
         for at, middle in zip(places, centre, strict=True)
     ]
-    peak = int(np.argmax(p))
+    peak = np.argmax(p)
     area_sd = cell * np.sqrt(outline * POSITION_VARIANCE)
     peak_sd = np.hypot(own[peak], common[peak])
     force_sd = sum_sd(KPA_MM2 * cell, own, common)

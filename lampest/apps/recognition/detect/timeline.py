@@ -27,7 +27,6 @@ MAX_NUMBERED = 20  # visits whose numbers fit on a map
 LABEL_LINES = 5
 LABEL_WIDTH = 0.22
 COLOURS = {LAMPREY: "#D55E00", SUCKS: "#E69F00", CUP: "#56B4E9", PRESSES: "0.6"}
-SHOWN = (LAMPREY, SUCKS, CUP)  # other contacts are grey and behind
 MIN_BAR_H = 0.15  # so that a short visit is visible on a day
 MAX_LABELS = 12  # of days or recordings
 
@@ -135,48 +134,36 @@ def season(visits: Sequence[Visit]) -> Figure:
     """
     figure = new_figure(3.4)
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1), sharey=True)
-    rows = list(dict.fromkeys(map(_row, visits)))
-    for visit in sorted(visits, key=lambda visit: visit.answer in SHOWN):
-        left.bar(
-            rows.index(_row(visit)),
-            max((visit.duration_s or 0.0) / HOUR_S, MIN_BAR_H),
-            width=0.7,
-            bottom=_hour(visit),
-            label=visit.answer,
-            color=COLOURS[visit.answer],
-            lw=0,
-        )
-    step = -(-len(rows) // MAX_LABELS)
-    turned = 60 if len(rows) > 6 else 0
-    left.set_xticks(range(0, len(rows), step), rows[::step], rotation=turned)
-    ends = (_hour(visit) + (visit.duration_s or 0.0) / HOUR_S for visit in visits)
-    highest = max(24.0, *ends)
-    left.set_ylim(min(highest, 48.0), 0)
-    clocked = any(visit.clock is not None for visit in visits)
-    days = "day", "hour of the day"
-    dressed(left, *(days if clocked else ("recording", "hours since its begin")))
-    handles = dict(zip(*reversed(left.get_legend_handles_labels()), strict=True))
-    left.legend(handles.values(), handles.keys(), fontsize=SMALL_POINT, frameon=False, loc="best")
+    days = [visit.clock.date().isoformat() if visit.clock else visit.recording for visit in visits]
+    seconds = [visit.begin_s for visit in visits]
+    for number, visit in enumerate(visits):
+        if visit.clock:
+            midnight = visit.clock.replace(hour=0, minute=0, second=0, microsecond=0)
+            seconds[number] = (visit.clock - midnight).total_seconds()
+    hours = np.array(seconds) / HOUR_S
+    lasted = np.array([visit.duration_s or 0.0 for visit in visits]) / HOUR_S
+    highest = max(24.0, *(hours + lasted))
+    names = list(dict.fromkeys(days))
+    places = np.array([names.index(day) for day in days])
     look: dict[str, Any] = {"orientation": "horizontal", "rwidth": 0.8, "alpha": 0.8}
-    for name in SHOWN:
-        hours = [_hour(visit) for visit in visits if visit.answer == name]
-        right.hist(hours, np.arange(0, np.ceil(highest) + 1), color=COLOURS[name], **look)
-    if clocked:
+    for name in reversed(COLOURS):
+        own = np.array([visit.answer == name for visit in visits])
+        if own.any():
+            bars = np.maximum(lasted, MIN_BAR_H)[own]
+            left.bar(places[own], bars, 0.7, hours[own], label=name, color=COLOURS[name], lw=0)
+            if name != PRESSES:
+                edges = np.arange(0, np.ceil(highest) + 1)
+                right.hist(hours[own], edges, color=COLOURS[name], **look)
+    step = -(-len(names) // MAX_LABELS)
+    turned = 60 if len(names) > 6 else 0
+    left.set_xticks(range(0, len(names), step), names[::step], rotation=turned)
+    left.set_ylim(min(highest, 48.0), 0)
+    left.legend(fontsize=SMALL_POINT, frameon=False, loc="best")
+    if any(visit.clock for visit in visits):
+        dressed(left, "day", "hour of the day")
         for edge in DAY_HOURS:
             right.axhline(edge, color="0.6", lw=0.6, ls=":")
+    else:
+        dressed(left, "recording", "hours since its begin")
     dressed(right, "visits in the hour", "")
     return figure
-
-
-def _row(visit: Visit) -> str:
-    return visit.recording if visit.clock is None else visit.clock.date().isoformat()
-
-
-def _hour(visit: Visit) -> float:
-    """Return the hour of the day of the arrival.
-
-    Hours are counted from the begin of the recording if it has no clock.
-    """
-    if visit.clock is None:
-        return visit.begin_s / HOUR_S
-    return visit.clock.hour + visit.clock.minute / 60 + visit.clock.second / HOUR_S

@@ -11,7 +11,7 @@ from math import floor, hypot, inf, isnan, log10
 from pathlib import Path
 from typing import Any
 
-from lampest.apps.recognition.detect.answer import ERRORS, LAMPREY, SUCKS, Detected
+from lampest.apps.recognition.detect.answer import ERRORS, LAMPREY, PAIRS, SUCKS, Detected
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.whole import refuse_inputs, sparing, whole_file, write_whole
@@ -143,13 +143,11 @@ def rows_of(
         since = load["since_s"]
         until = load["until_s"]
         stop = end if until is None else until
-        numbers: dict[str, Any] = {}
-        for name in ("x_mm", "y_mm", "breathing_hz", "breathing_depth"):
-            numbers[name], _ = _significant(load[name])
-        for name in ("diameter", *(("suction", "strongest") if load["sucks"] > 0.5 else ())):
-            unit = "mm" if name == "diameter" else "kpa"
-            pair = _significant(load[f"{name}_{unit}"])
-            numbers[f"{name}_{unit}"], numbers[f"{name}_sd_{unit}"] = pair
+        numbers = dict[str, Any]()
+        for name in PAIRS.keys() & COLUMNS:
+            stem, _, unit = name.rpartition("_")
+            if unit != "kpa" or load["sucks"] > 0.5:
+                numbers |= zip((name, f"{stem}_sd_{unit}"), _significant(load[name]), strict=True)
         visits.append(
             Visit(
                 recording=recording,
@@ -162,7 +160,7 @@ def rows_of(
                 pumps=None if load["pump_count"] is None else int(load["pump_count"]),
                 pump_interval_s=load["pump_interval_s"],
                 why=load["why"] or None,
-                **numbers,
+                **{name: numbers[name] for name in numbers.keys() & COLUMNS},
             )
         )
     return visits
@@ -303,13 +301,11 @@ def visits_in(path: Path) -> list[Visit]:
     visits = list[Visit]()
     with hdf5.existing_file(path) as file:
         names = hdf5.children(file, "entry", object)
-        for name in sorted(
-            names, key=lambda name: hdf5.read_number(file, f"entry/{name}", "order")
-        ):
-            group = f"entry/{name}"
-            begin = str(hdf5.read_attribute(file, group, "start_time"))
-            end = float(hdf5.read_attribute(file, group, "end_s"))
-            table = f"{group}/attachments"
+        groups = {name: f"entry/{name}" for name in names}
+        for name in sorted(names, key=lambda name: hdf5.read_number(file, groups[name], "order")):
+            begin = str(hdf5.read_attribute(file, groups[name], "start_time"))
+            end = float(hdf5.read_attribute(file, groups[name], "end_s"))
+            table = f"{groups[name]}/attachments"
             loads = _stored_loads(file, table) if hdf5.has(file, table) else []
             visits += rows_of(name, loads, begin, None if isnan(end) else end)
     return numbered(visits)
@@ -317,17 +313,15 @@ def visits_in(path: Path) -> list[Visit]:
 
 def _stored_loads(file: Any, group: str) -> list[dict[str, Any]]:
     """Return the attachments of a table of `write_detections` as in `Detected.content`."""
-    texts = ("answer", "why")
-    names = hdf5.children(file, group)
     count = hdf5.length_of(file, f"{group}/answer")
-    columns: dict[str, list[Any]] = {
-        name: list(hdf5.read_texts(file, f"{group}/{name}", count)) for name in texts
-    }
-    for name in names:
-        if name not in texts:
+    columns = dict[str, list[Any]]()
+    for name in hdf5.children(file, group):
+        if name in ("answer", "why"):
+            columns[name] = list(hdf5.read_texts(file, f"{group}/{name}", count))
+        else:
             values = hdf5.read_array(file, f"{group}/{name}", 1).tolist()
             columns[name] = [None if isnan(value) else value for value in values]
-    for name in [name for name in names if f"{name}{ERRORS}" in names]:
+    for name in [name for name in columns if f"{name}{ERRORS}" in columns]:
         pairs = zip(columns[name], columns.pop(f"{name}{ERRORS}"), strict=True)
         columns[name] = [None if value is None else (value, sd) for value, sd in pairs]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
