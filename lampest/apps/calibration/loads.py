@@ -81,7 +81,13 @@ def calibrate_loads(
     scene = common_scene(recordings)
     loads = known.loads
     place = _places([recording.name for recording in recordings], loads)
-    change, sd, within = _all_responses(recordings, loads, place)
+    change, sd = np.empty((2, len(loads), *scene.panel.shape))
+    within = np.empty(len(loads))
+    for index in np.unique(place):
+        own = np.flatnonzero(place == index)
+        change[own], sd[own], within[own] = _responses(
+            recordings[index], [loads[number] for number in own]
+        )
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
     # Whether two loads lie on the panel at the same time, (loads, loads)
@@ -98,8 +104,8 @@ def calibrate_loads(
         )
     base = scene.response or PUBLISHED
     water = water_pressure(scene.panel, scene.water)
-    flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
-    loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
+    flat = np.stack([change, sd, pressure, pressure_sd]).reshape(4, len(loads), -1)
+    loaded = Loaded(*flat, water.ravel(), base)
     fitted = _explaining_fit(loaded)
     try:
         with np.errstate(over="ignore"):
@@ -120,23 +126,6 @@ def calibrate_loads(
         warnings=tuple(filter(None, doubts)),
         fitted=fitted,
     )
-
-
-def _all_responses(
-    recordings: Sequence[Recording], loads: Sequence[KnownLoad], place: Numbers
-) -> tuple[Array, Array, Array]:
-    """Return the responses to all loads, as `_responses` does.
-
-    `place` is the recording of each load, (loads,).
-    """
-    change, sd = np.empty((2, len(loads), *recordings[0].scene.panel.shape))
-    within = np.empty(len(loads))
-    for index in np.unique(place):
-        own = np.flatnonzero(place == index)
-        change[own], sd[own], within[own] = _responses(
-            recordings[index], [loads[number] for number in own.tolist()]
-        )
-    return change, sd, within
 
 
 def _explaining_fit(loaded: Loaded) -> FittedResponse:
@@ -193,7 +182,7 @@ def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> Mask:
         return np.zeros(len(deviation), dtype=bool)
     deviation -= np.nanmedian(deviation)
     usual = MAD_TO_SIGMA * float(np.nanmedian(np.abs(deviation)))
-    return np.asarray(np.nan_to_num(np.abs(deviation)) > UNUSUAL * max(usual, ALIKE))
+    return np.nan_to_num(np.abs(deviation)) > UNUSUAL * max(usual, ALIKE)
 
 
 def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response) -> str:

@@ -25,11 +25,10 @@ from lampest.apps.foreign.arrays import (
 from lampest.apps.foreign.clocks import Clock
 from lampest.apps.foreign.division import frames_of
 from lampest.apps.foreign.form import readings_table
-from lampest.apps.foreign.labelled import named_units, panel_of
 from lampest.apps.foreign.lines import FieldLines, lines_of_sheets, lines_of_text
 from lampest.apps.foreign.own_layouts import LAYOUTS
 from lampest.apps.foreign.records import READERS as RECORDS
-from lampest.apps.foreign.records import records_of
+from lampest.apps.foreign.records import panel_of, records_of
 from lampest.apps.foreign.unit import understood_unit
 from lampest.files.errors import InputError, counted, first_and_more, meant, printable
 from lampest.files.typed import installed, typed
@@ -204,9 +203,7 @@ def _recording(  # noqa: PLR0913 # the options of an import
         for frame, row, column in np.argwhere(np.isnan(values) & panel.present).tolist():
             place = frames.place(frame, row, column)
             raise InputError(f"{place}: the reading of row {row}, column {column} is missing")
-    reason = f"unit {unit}, as specified"
-    if unit is None:
-        unit, reason = understood_unit(values, named_units(frames.words, path), scene, path)
+    unit, reason = understood_unit(values, unit, frames.words, scene, path)
     source = "by the scene" if scene else "assumed; a scene says otherwise"
     scene = scene or Scene(panel)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
@@ -305,11 +302,11 @@ def _frames(path: Path, panel: Panel, chosen: Chosen, *, transpose: bool = False
                 number[:, *np.transpose(cells)] = frames.number[:, 0]
                 note = f"{len(cells)} values are the cells in the order of the scene's list"
                 return frames.arranged(number, note)
-        fits = False
-        with suppress(InputError):
+        fits_turned = False
+        with suppress(InputError):  # frames with their times
             _clock(read(turned), None, None, path)
-            fits = turned != panel.shape
-        if fits:
+            fits_turned = turned != panel.shape
+        if fits_turned:
             raise InputError(f"{error}; with `transpose` it would fit") from error
         raise
     modules = panel.modules

@@ -116,7 +116,7 @@ class LineReader:
             ...
 
     `words` are the names of columns, which may contain the unit of the numbers:
-    `understood_unit(values, named_units(reader.words, source), scene, source)` decides it.
+    `understood_unit(values, None, reader.words, scene, source)` decides it.
 
     Parameters
     ----------

@@ -187,7 +187,8 @@ def placed(segment: Segment, ends: FrameEnds) -> Iterator[Placed]:
     }
     chosen = [*ranks]
     if not ends.shared and ends.gapless:
-        # A line with a damaged name between two successive positions is of another frame.
+        # A line with a damaged name between two successive positions is of another frame: on a
+        # side of it, lines and ranks rise by one.
         runs = groupby(
             enumerate(chosen), lambda item: (item[1] - item[0], ranks[item[1]] - item[0])
         )
