@@ -337,7 +337,7 @@ class Problem:
         constraint.
         """
         volt = np.concatenate([trial.volt[trial.used] for trial in self.trials])
-        return np.clip(volt, *usable_range(self.scene.circuit))
+        return np.asarray(np.clip(volt, *usable_range(self.scene.circuit)))
 
     def expected(
         self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0
@@ -359,7 +359,7 @@ class Problem:
             if resistor in trial.resistors:
                 cells[trial.resistors[resistor]] *= np.exp(STEP)
             volts.append(self.volt(unknowns, cells, reference)[trial.used])
-        return np.clip(np.concatenate(volts), *usable_range(self.scene.circuit))
+        return np.asarray(np.clip(np.concatenate(volts), *usable_range(self.scene.circuit)))
 
     def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
         """Return the covariance C of the readings, (readings, readings) V².
@@ -378,7 +378,7 @@ class Problem:
         tolerances = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
         sigma = np.concatenate([trial.sigma_volt[trial.used] for trial in self.trials])
         noise = own_lsb * self.scene.circuit.lsb_volt
-        return np.diag(sigma**2 + noise**2) + tolerances @ tolerances.T
+        return np.asarray(np.diag(sigma**2 + noise**2) + tolerances @ tolerances.T)
 
     def squares(self, root: Array, unknowns: Array) -> SumOfSquares:
         """Return (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ.

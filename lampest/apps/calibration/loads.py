@@ -105,7 +105,7 @@ def calibrate_loads(
     base = scene.response or PUBLISHED
     water = water_pressure(scene.panel, scene.water)
     flat = np.stack([change, sd, pressure, pressure_sd]).reshape(4, len(loads), -1)
-    loaded = Loaded(*flat, water.ravel(), base)
+    loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
     fitted = _explaining_fit(loaded)
     try:
         with np.errstate(over="ignore"):

@@ -126,7 +126,7 @@ class Trial:
 
     def connected(self, side: Side) -> Mask:
         """Return whether each line of a side leads to a resistor, (lines,)."""
-        return np.isfinite(self.known).any(axis=1 if side == "rows" else 0)
+        return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
 
     @cached_property
     def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:

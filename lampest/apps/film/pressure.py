@@ -377,7 +377,9 @@ def _own_and_common(
 
 def _distance(alternatives: Iterable[Array], expected: Array) -> Array:
     """Return √Σ (alternative − expected)², of any shape."""
-    return np.sqrt(np.sum([(alternative - expected) ** 2 for alternative in alternatives], axis=0))
+    return np.asarray(
+        np.sqrt(np.sum([(alternative - expected) ** 2 for alternative in alternatives], axis=0))
+    )
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:

@@ -111,7 +111,9 @@ def sigma_of_frames(frames: Array) -> Array:
 
     The frames are (frames, ...); NaN is ignored.
     """
-    return MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames, axis=0)), axis=0) / np.sqrt(2)
+    return np.asarray(
+        MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames, axis=0)), axis=0) / np.sqrt(2)
+    )
 
 
 def _stands_out(change: Array) -> bool:

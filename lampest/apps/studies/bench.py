@@ -229,7 +229,7 @@ class BenchPart(NamedTuple):
         nearest = max(similar)
         recordings = len({(frame.shape, frame.recording) for frame in similar[nearest]})
         seconds = sum(frame.seconds for frame in similar[nearest])
-        return seconds / recordings * (lines / nearest) ** 3
+        return float(seconds / recordings * (lines / nearest) ** 3)
 
 
 PROCESS_START_S = 3.0  # that a fresh process takes to begin
