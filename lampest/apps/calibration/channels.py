@@ -81,16 +81,7 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     common_scene(recordings, _circuit)
     name = recordings[0].name
     scene = recordings[0].scene
-    if scene.readout is None:
-        raise InputError(
-            f"{name}: its scene names no readout, whose numbers a calibration could find"
-        )
-    if not line_numbers(scene.circuit):
-        raise InputError(
-            f"{name}: recordings tell nothing of this readout ({scene.circuit.description()})"
-        )
-    if scene.panel.modules is not None:
-        raise InputError(f"{name}: calibrate a panel of modules by recordings of each")
+    _check_determined(name, scene)
     prior = prior_sizes(scene)
     channel_prior = float(prior.channel_spread_ohm)
     scene = replace(scene, systematic=prior)
@@ -136,6 +127,23 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         apart_before=channel_prior,
         frames=frames,
     )
+
+
+def _check_determined(name: str, scene: Scene) -> None:
+    """Raise InputError unless recordings of a scene determine its channels.
+
+    `name` is that of a recording.
+    """
+    if scene.readout is None:
+        raise InputError(
+            f"{name}: its scene names no readout, whose numbers a calibration could find"
+        )
+    if not line_numbers(scene.circuit):
+        raise InputError(
+            f"{name}: recordings tell nothing of this readout ({scene.circuit.description()})"
+        )
+    if scene.panel.modules is not None:
+        raise InputError(f"{name}: calibrate a panel of modules by recordings of each")
 
 
 def prior_sizes(scene: Scene) -> Systematic:

@@ -81,13 +81,7 @@ def calibrate_loads(
     scene = common_scene(recordings)
     loads = known.loads
     place = _places([recording.name for recording in recordings], loads)
-    change, sd = np.empty((2, len(loads), *scene.panel.shape))
-    within = np.empty(len(loads))
-    for index in np.unique(place):
-        own = np.flatnonzero(place == index)
-        change[own], sd[own], within[own] = _responses(
-            recordings[index], [loads[number] for number in own]
-        )
+    change, sd, within = _all_responses(recordings, loads, place)
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
     # Whether two loads lie on the panel at the same time, (loads, loads)
@@ -126,6 +120,23 @@ def calibrate_loads(
         warnings=tuple(filter(None, doubts)),
         fitted=fitted,
     )
+
+
+def _all_responses(
+    recordings: Sequence[Recording], loads: Sequence[KnownLoad], place: Numbers
+) -> tuple[Array, Array, Array]:
+    """Return the responses to all loads, as `_responses` does.
+
+    `place` is the recording of each load, (loads,).
+    """
+    change, sd = np.empty((2, len(loads), *recordings[0].scene.panel.shape))
+    within = np.empty(len(loads))
+    for index in np.unique(place):
+        own = np.flatnonzero(place == index)
+        change[own], sd[own], within[own] = _responses(
+            recordings[index], [loads[number] for number in own.tolist()]
+        )
+    return change, sd, within
 
 
 def _explaining_fit(loaded: Loaded) -> FittedResponse:

@@ -431,7 +431,9 @@ def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | N
     check_count(where, array.size)
     layout, *alternatives = fits[name]
     number: Numbers = np.arange(array.size).reshape(array.shape)
-    source, word, origin = f"{where}[:, 0]", "", ""
+    source = f"{where}[:, 0]"
+    word = ""
+    origin = ""
     times: Array | None = None
     if layout == TIMED:
         number = number[:, 1:]
@@ -441,7 +443,9 @@ def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | N
     number = number.reshape(-1, *shape)
     beside = None if layout == TIMED else _times_beside(arrays, name, len(number))
     if beside is not None:
-        source, word, origin = f"{path}: {beside}", _last(beside), f"array {beside} in "
+        source = f"{path}: {beside}"
+        word = _last(beside)
+        origin = f"array {beside} in "
         times = arrays[beside].ravel()
     second = f" ({alternatives[0]} would fit, too)" if alternatives else ""
     note = f"{f'array {name} ' if name else ''}read as {layout}{second}"

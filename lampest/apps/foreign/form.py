@@ -170,9 +170,7 @@ def lines_of_form(
     ended = (source.counts >= form.width) & (fields[:, form.width - 1] != "")
     short = data & (source.counts < form.usual) & ~ended & ~separated & (not source.padded)
     if since is not None and long.sum() > MAX_CUT * data.sum():
-        wrong, usual = (int(np.argmax(lines)) for lines in (long, data & ~long))
-        mismatch = f"{source.counts[wrong]} fields, where {source.called(usual)} has {form.width}"
-        raise InputError(f"{source.at(source.lines[wrong].number, None)}: {mismatch}")
+        raise _mismatch(source, int(np.argmax(long)), int(np.argmax(data & ~long)), form.width)
     doubtful = short | long
     excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
     excluded &= np.array([line.number > 0 for line in source.lines], dtype=bool)
@@ -201,6 +199,12 @@ def lines_of_form(
         numbers=values,
     )
     return replace(table.only(data, slice(form.width)), names=form.names)
+
+
+def _mismatch(source: FieldLines, long: int, usual: int, width: int) -> InputError:
+    """Return the error of a line that is longer than the usual ones, of which one is named."""
+    mismatch = f"{source.counts[long]} fields, where {source.called(usual)} has {width}"
+    return InputError(f"{source.at(source.lines[long].number, None)}: {mismatch}")
 
 
 def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
