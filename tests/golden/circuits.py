@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import lampest as lp
-from lampest.apps.film.memory import ERRORS, FilmKnown, FilmMemory
+from lampest.apps.film.memory import FilmKnown, FilmMemory, drift_sd
 from lampest.apps.film.pressure import (
     pressure_of,
     response_sd,
@@ -463,7 +463,7 @@ def film_row() -> dict[str, Any]:
         "effective": last.effective(answers[1], 5.0),
         "observed": last.observed(answers[2], 5.0).fading(60.0),
         "at once": last.at_once(answers[3], 9.0),
-        "resting": ERRORS.resting_sd(3.0),
+        "resting": drift_sd(3.0),
         "known": [each.sentence for each in (known, estimated)],
         "beside failed frames": [beside_failed.creep, beside_failed.residue, beside_failed.cells],
         "estimated": estimated.creep,
@@ -520,7 +520,7 @@ def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None, failed: tuple[int
         "pressure": load,
         "forces": forces,
         "sd": response_sd(scene, ratio),
-        "scatter": scatter_sd(scene, effects.systematic_of(scene)),
+        "scatter": scatter_sd(scene),
     }
 
 

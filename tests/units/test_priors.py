@@ -34,7 +34,7 @@ converter_memory.KeptShare.prior = 0.037
 
 import lampest
 from lampest.apps.calibration import channels as of_channels
-from lampest.apps.calibration import circuit_fit, circuit_numbers, resistors
+from lampest.apps.calibration import circuit_fit, resistors
 from lampest.apps.recognition.model_errors import ModelErrors
 from lampest.inference.circuits import parameters
 from lampest.panel.sizes import Systematic
@@ -54,9 +54,9 @@ print(json.dumps({
     "estimated": [getattr(estimated, name) for name in names],
     "typical": [getattr(typical, name) for name in (*names, "response_sd")],
     "calibrated channels": of_channels.prior_sizes(scenes[0]).channel_spread_ohm,
-    "calibrated memory": circuit_numbers.EXPECTED["converter_memory"][1],
+    "calibrated memory": circuit_fit.EXPECTED["converter_memory"][1],
     "calibrated wire": [
-        circuit_numbers.EXPECTED[f"lines.{line}_ohm_per_cell"][1] for line in ("row", "column")
+        circuit_fit.EXPECTED[f"lines.{line}_ohm_per_cell"][1] for line in ("row", "column")
     ],
     "tried memory": parameters.LINEAR_MEMORY,
     "calibrated resistors": [

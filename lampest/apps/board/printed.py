@@ -26,7 +26,6 @@ from lampest.apps.board.sample import (
     Samples,
 )
 from lampest.apps.board.source import PRINTED_BAUDS, ByteSource, Listener, NoBoardError, Piece
-from lampest.apps.foreign.labelled import named_units
 from lampest.apps.foreign.line_reader import LineReader, TextFrame
 from lampest.apps.foreign.unit import understood_unit
 from lampest.files.errors import InputError, counted, printable
@@ -189,10 +188,8 @@ class Printer:
     def _settle(self, stamped: Sequence[Stamped]) -> None:
         """Understand unit and period by the first frames. Raises InputError."""
         values = np.stack([item.frame.values for item in stamped])
-        reason = f"unit {self.unit}, as specified"
-        if self.unit is None:
-            named = named_units(self._reader.words, self.url)
-            self.unit, reason = understood_unit(values, named, self.scene, self.url)
+        words = self._reader.words
+        self.unit, reason = understood_unit(values, self.unit, words, self.scene, self.url)
         recorded = recorded_values(values, self.unit, self.scene, None, self.url)
         impossible = np.isfinite(values) & np.isnan(recorded)
         if np.mean(impossible) > MAX_IMPOSSIBLE:

@@ -10,10 +10,10 @@ are integrated out by the Schur complement. All blocks together give the posteri
 where b = BELIEVED is the share of the information that is used.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -80,21 +80,23 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
     """
     common_scene(recordings, _circuit)
     name = recordings[0].name
-    _check_determined(name, recordings[0].scene)
-    prior = prior_sizes(recordings[0].scene)
+    scene = recordings[0].scene
+    _check_determined(name, scene)
+    prior = prior_sizes(scene)
     channel_prior = float(prior.channel_spread_ohm)
-    scene = replace(recordings[0].scene, systematic=prior)
+    scene = replace(scene, systematic=prior)
     rows, columns = scene.panel.shape
-    parts = list[_Likelihood]()
+    parts: list[tuple[Information, int]] = []
     for recording in recordings:
         parts += _likelihoods(replace(recording, scene=scene))
     if not parts:
         raise InputError(f"{name}: no calibration: no frame could be estimated")
-    z, z_covariance = _posterior(parts)
-    units = _units(scene, prior, len(z))
-    errors = units @ z
-    covariance = units @ z_covariance @ units.T
-    frames = sum(part.frames for part in parts)
+    (first, _), *others = parts
+    posterior = sum((part for part, _ in others), first).share(BELIEVED)
+    units = _units(scene, prior, len(posterior.mean))
+    errors = units @ posterior.mean
+    covariance = units @ posterior.covariance @ units.T
+    frames = sum(count for _, count in parts)
     deviation = np.sqrt(np.diag(covariance))
     spread, common = _channel_deviations(covariance[1:, 1:], rows, columns)
     sizes = replace(
@@ -108,14 +110,15 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         f"channels off by {np.sqrt(np.mean(errors[1:] ** 2)):.2f} ohm rms "
         f"and known to {spread:.2f} ohm beside their mean, from {frames} frames"
     )
+    offsets = [f"{error:+.2f} +- {sd:.2f}" for error, sd in zip(errors, deviation, strict=True)]
     return ChannelCalibration(
         scene=_corrected(replace(scene, systematic=sizes), errors),
         summary=summary,
         remarks=(
             f"from {frames} frames; +- is one standard deviation",
             summary,
-            f"rows are off by {_offsets_in_words(errors[1 : 1 + rows], deviation[1 : 1 + rows])}",
-            f"columns are off by {_offsets_in_words(errors[1 + rows :], deviation[1 + rows :])}",
+            f"rows are off by {', '.join(offsets[1 : 1 + rows])} ohm",
+            f"columns are off by {', '.join(offsets[1 + rows :])} ohm",
         ),
         warnings=() if spread < UNCHANGED * channel_prior else (HARDLY,),
         errors=errors,
@@ -124,12 +127,6 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
         apart_before=channel_prior,
         frames=frames,
     )
-
-
-def _offsets_in_words(errors: Array, deviations: Array) -> str:
-    """Return the offsets of the lines of a side with their standard deviations, in words."""
-    pairs = zip(errors, deviations, strict=True)
-    return f"{', '.join(f'{error:+.2f} +- {sd:.2f}' for error, sd in pairs)} ohm"
 
 
 def _check_determined(name: str, scene: Scene) -> None:
@@ -176,11 +173,10 @@ def _channel_deviations(covariance: Array, rows: int, columns: int) -> tuple[flo
     mean[rows:, 1] = 1 / columns
     of_means = mean.T @ covariance @ mean
     # (Σ var e − Σ_sides n var ē)/(lines − 2)
-    spread = float(
-        np.sqrt((np.trace(covariance) - np.diag(of_means) @ (rows, columns)) / (rows + columns - 2))
-    )
-    common = float(of_means.sum()) - spread**2 * (1 / rows + 1 / columns)
-    return spread, float(np.sqrt(max(common, 0.0)))
+    variance = float(np.trace(covariance) - np.diag(of_means) @ (rows, columns))
+    variance /= rows + columns - 2
+    common = float(of_means.sum()) - variance * (1 / rows + 1 / columns)
+    return float(np.sqrt(variance)), float(np.sqrt(max(common, 0.0)))
 
 
 def _corrected(scene: Scene, errors: Array) -> Scene:
@@ -188,8 +184,7 @@ def _corrected(scene: Scene, errors: Array) -> Scene:
     readout: Any = off_by(scene.readout or scene.circuit, float(errors[0]))
     of_rows, of_columns = np.split(errors[1:], [scene.panel.rows])
     if readout.unit != "ohm":
-        driven: Any = behind_channels(readout, of_rows, of_columns)
-        return replace(scene, readout=_rounded(driven))
+        return replace(scene, readout=_rounded(behind_channels(readout, of_rows, of_columns)))
     specified = scene.series_resistance_ohm
     if not isinstance(specified, SeriesPerLine):
         specified = SeriesPerLine(specified / 2, specified / 2)
@@ -223,39 +218,12 @@ def _circuit(scene: Scene) -> Scene:
     )
 
 
-class _Likelihood(NamedTuple):
-    """Information of a block of frames on the errors z that all frames share.
+def _likelihoods(recording: Recording) -> Iterator[tuple[Information, int]]:
+    """Yield the information on the errors z of every block that can be estimated, and its frames.
 
-    Attributes
-    ----------
-    estimate : array, shape (n,)
-        z.
-    precision : array, shape (n, n)
-        Λ.
-    frames : int
-        Number of frames.
+    The information is Λ and (Λ + I) z.
     """
-
-    estimate: Array
-    precision: Array
-    frames: int
-
-
-def _posterior(parts: Sequence[_Likelihood]) -> tuple[Array, Array]:
-    """Return the posterior mean ẑ (n,) of the errors, and their covariance C (n, n)."""
-    # C⁻¹ = I + b Σ Λ,   ẑ = b C Σ (Λ + I) z
-    unit = np.eye(len(parts[0].estimate))
-    first, *others = (
-        Information(part.precision, (part.precision + unit) @ part.estimate) for part in parts
-    )
-    joint = sum(others, first).share(BELIEVED)
-    return joint.mean, joint.covariance
-
-
-def _likelihoods(recording: Recording) -> list[_Likelihood]:
-    """Return the likelihood of every block of frames that can be estimated."""
     noise = Prepared(recording).noise
-    parts = list[_Likelihood]()
     method = SmootherMethod()
     misfit = Misfit(weighting="noise", loss=Student(corner=ROBUST_CORNER))
     estimator = Estimator((misfit,), method, error_bars=False)
@@ -264,8 +232,8 @@ def _likelihoods(recording: Recording) -> list[_Likelihood]:
     for block in np.array_split(usable, max(round(len(usable) / BLOCK), 1)):
         with suppress(*BROKEN):
             joint = method.least_cost(stream, [noise.readings[frame] for frame in block])
-            parts.append(_Likelihood(*joint.shared_estimate, len(block)))
-    return parts
+            estimate, precision = joint.shared_estimate
+            yield Information(precision, precision @ estimate + estimate), len(block)
 
 
 def _units(scene: Scene, prior: Systematic, count: int) -> Array:

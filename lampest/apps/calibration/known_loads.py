@@ -121,7 +121,7 @@ class KnownLoad:
         foot = Rod(diameter_mm=diameter, **under) if diameter else Block(**block, **under)
         newton = self.force_newton or (self.mass_g or 0.0) * GRAVITY * 1e-3
         kpa = newton / area * 1e3 if self.pressure_kpa is None else self.pressure_kpa
-        return np.asarray(kpa * foot.mean_pressure(panel, patch_mm)[0])
+        return kpa * foot.mean_pressure(panel, patch_mm)[0]
 
 
 @dataclass(frozen=True, kw_only=True)

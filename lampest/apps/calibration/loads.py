@@ -98,7 +98,7 @@ def calibrate_loads(
         )
     base = scene.response or PUBLISHED
     water = water_pressure(scene.panel, scene.water)
-    flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
+    flat = np.stack([change, sd, pressure, pressure_sd]).reshape(4, len(loads), -1)
     loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
     fitted = _explaining_fit(loaded)
     try:
@@ -193,7 +193,7 @@ def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> Mask:
         return np.zeros(len(deviation), dtype=bool)
     deviation -= np.nanmedian(deviation)
     usual = MAD_TO_SIGMA * float(np.nanmedian(np.abs(deviation)))
-    return np.asarray(np.nan_to_num(np.abs(deviation)) > UNUSUAL * max(usual, ALIKE))
+    return np.nan_to_num(np.abs(deviation)) > UNUSUAL * max(usual, ALIKE)
 
 
 def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response) -> str:

@@ -13,14 +13,12 @@ from scipy.special import fdtrc
 
 from lampest.apps.calibration.calibration import DIGITS, Calibration, common_scene
 from lampest.apps.calibration.circuit_fit import (
+    EXPECTED,
     CircuitFit,
+    CircuitNumber,
     Problem,
     estimated_number,
     fit_circuit,
-)
-from lampest.apps.calibration.circuit_numbers import (
-    EXPECTED,
-    CircuitNumber,
     with_estimates,
 )
 from lampest.apps.calibration.trials import BELIEF, Trial
@@ -94,9 +92,10 @@ def calibrate_resistors(
     )
     fit = fit_circuit(Problem(scene, trials, tolerance))
     _check_fit(fit)
-    numbers = tuple(estimated_number(fit, unknown) for unknown in fit.problem.unknowns)
-    for unknown, number in zip(fit.problem.unknowns, numbers, strict=True):
-        _check_number(f"{name}: no calibration: ", number, unknown.specified)
+    numbers = list[CircuitNumber]()
+    for unknown in fit.problem.unknowns:
+        numbers.append(estimated_number(fit, unknown))
+        _check_number(f"{name}: no calibration: ", numbers[-1], unknown.specified)
     noise = noise_of(trials)
     remarks = [remark for number in numbers for remark in number.remarks(fit.readings)]
     if noise is not None:
@@ -106,17 +105,13 @@ def calibrate_resistors(
         f"resistors taken as within {100 * tolerance:g} %; the residual "
         f"is {fit.chi_square / max(fit.freedom, 1):.2g} times what noise and tolerances explain"
     )
-    warnings = list[str]()
-    if any(number.differ for number in numbers):
-        warnings.append(
-            "the lines differ by more than their noise; comments in the scene state by how much"
-        )
+    differ = "the lines differ by more than their noise; comments in the scene state by how much"
     return ResistorCalibration(
         scene=with_estimates(scene, numbers, noise),
         summary=f"{', '.join(number.label for number in numbers)} from {fit.readings} readings",
         remarks=tuple(remarks),
-        warnings=tuple(warnings),
-        numbers=numbers,
+        warnings=(differ,) if any(number.differ for number in numbers) else (),
+        numbers=tuple(numbers),
         readings=fit.readings,
     )
 
@@ -213,14 +208,14 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
         )
     # Equal cells are equivalent to a larger series resistance, so the value is limited to that of
     # the worst channels, or to their excess over typical ones above the specified value.
-    most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
+    most = channels * WORST_OHM + max(specified - channels * TYPICAL_OHM, 0.0)
     if number.in_scene and number.channel and estimate.value - SIGNIFICANT * estimate.sigma > most:
         raise InputError(
             f"{where}a {number.name} of {estimate.value:.4g} ohm is more "
             f"than the {most:g} ohm that {channels} channels have at worst; "
             "were the known resistors in place of the panel, and are their values right?"
         )
-    most = max(WORST_OHM - BEST_OHM if number.channel else 0.0, 4 * E24_TOLERANCE * estimate.value)
+    most = max((WORST_OHM - BEST_OHM) * number.channel, 4 * E24_TOLERANCE * estimate.value)
     for side, offset, sigma in estimate.lines:
         high = int(np.nanargmax(offset))
         low = int(np.nanargmin(offset))

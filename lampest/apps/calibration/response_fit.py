@@ -104,7 +104,7 @@ class Loaded:
     def weight(self, fitted: "FittedResponse") -> Array:
         """Return 1/σ of every response, (n,), with σ² = sd² + position² + scatter² x²."""
         response, variance = self.expected(fitted)
-        return np.asarray(1 / np.sqrt(variance + fitted.scatter**2 * response**2))
+        return 1 / np.sqrt(variance + fitted.scatter**2 * response**2)
 
     def rows(self, fitted: "FittedResponse", weight: Array) -> tuple[Array, Array]:
         """Return the weighted least-squares problem of a fit.
@@ -178,7 +178,7 @@ class FittedResponse:
 
         Each summand is also its own derivative with respect to ψ_k.
         """
-        return np.asarray(-falls * np.exp(self.gains[:, None] + self.pieces))
+        return -falls * np.exp(self.gains[:, None] + self.pieces)
 
     def gain(self) -> tuple[Array, Array]:
         """Gains of the cells over their mean.

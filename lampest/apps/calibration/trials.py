@@ -122,7 +122,7 @@ class Trial:
         """Whether a reading exists and both of its lines lead to a resistor, (rows, columns)."""
         rows = self.connected("rows")[:, None]
         columns = self.connected("columns")[None, :]
-        return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.volt))
+        return (self.everywhere | (rows & columns)) & np.isfinite(self.volt)
 
     def connected(self, side: Side) -> Mask:
         """Return whether each line of a side leads to a resistor, (lines,)."""
@@ -154,7 +154,7 @@ def usable_range(readout: Readout) -> tuple[float, float]:
 def within_rails(readout: Readout, volt: Array) -> Mask:
     """Return whether mean voltages, of any shape, are unbiased by the rails of the converter."""
     low, high = usable_range(readout)
-    return np.asarray((volt > low) & (volt < high))
+    return (volt > low) & (volt < high)
 
 
 def _valid(name: str, readout: Readout, volt: Array, across: int) -> Mask:

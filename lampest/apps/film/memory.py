@@ -55,6 +55,20 @@ CREEPS = Film.most["creep_per_decade"] * np.linspace(0, 1, 81) ** 2
 # Compared shares of a cell's largest ln r/r0 that remain after a load and do not fade.
 RESIDUES = 0.25 * np.linspace(0, 1, 26) ** 2
 MIN_PERIOD = 1e-3  # s between frames whose times do not increase
+# What distinguishes the memory of a film from a load: standard deviations of ln r/r0 of an
+# untouched cell, in addition to the estimate's error;
+RESTING_SD = 0.005
+DRIFT_PER_MINUTE = 0.01
+# relative errors of a cell's predicted memory, because peaks fall between frames; the second where
+# cells differ;
+MEMORY_SD = 0.05
+CELL_MEMORY_SD = 0.2
+# range of ln r/r0, uniform, under the alternative that a load still presses, of equal prior odds;
+LOADED_RANGE = 4.0
+OPEN_CELL = 6.0  # ln r/r0 beyond which a cell is open
+INDEPENDENT_FRAMES = 3.0  # effective number of a cell's, because its errors persist
+MAX_CREEP = 0.2  # mean creep beyond which a residue is not taken for creep
+LASTING_SHARE = 0.5  # largest share of a load that may remain
 MAX_SD_RATIO = 0.8  # posterior over prior, with which a creep counts as estimated
 
 
@@ -128,9 +142,7 @@ class Plays:
         below = np.clip((reached <= effective).sum(axis=0) - 1, 0, len(corners) - 2)
         start, end = _neighbours(corners, below)
         low, high = _neighbours(reached, below)
-        return np.asarray(
-            start + (effective - low) * np.where(high > low, (end - start) / (high - low), 1.0)
-        )
+        return start + (effective - low) * np.where(high > low, (end - start) / (high - low), 1.0)
 
 
 def _neighbours(values: Array, below: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -256,7 +268,7 @@ class FilmMemory:
         """Return p_e (...) kPa from ln(r/r_rest) = `change` at the end of an interval in s."""
         at_once = self.creep.at_once(-change / self.gain, seconds)
         on_film = self.response.pressure(self.response.logarithm(self.water) - at_once)
-        return np.asarray(np.maximum(on_film, VACUUM_KPA) - self.water)
+        return np.maximum(on_film, VACUUM_KPA) - self.water
 
     def observed(self, change: Array, seconds: float) -> "FilmMemory":
         """Return the film after an interval in s from ln(r/r_rest) = `change` at its end.
@@ -283,50 +295,14 @@ class FilmMemory:
 
         `change` is ln(r/r_rest) with creep.
         """
-        return np.asarray(self.gain * self.creep.at_once(-change / self.gain, seconds))
+        return self.gain * self.creep.at_once(-change / self.gain, seconds)
 
 
-@dataclass(frozen=True)
-class MemoryErrors:
-    """Assumptions that distinguish the memory of a film from a load.
-
-    Attributes
-    ----------
-    unloaded, drift : float
-        Standard deviation of ln r/r0 of an untouched cell, in addition to the estimate's error:
-        constant, and for each minute.
-    memory, cell_memory : float
-        Relative errors of a cell's predicted memory, because peaks fall between frames; the second
-        where cells differ.
-    loaded_range : float
-        Range of ln r/r0, uniform, under the alternative that a load still presses; both have equal
-        prior odds.
-    open_cell : float
-        ln r/r0 beyond which a cell is open.
-    independent_frames : float
-        Effective number of a cell's frames, because its errors persist from frame to frame.
-    most_creep : float
-        Mean creep beyond which a residue is not taken for creep.
-    lasting_share : float
-        Largest share of a load that may remain.
-    """
-
-    unloaded: float = 0.005
-    drift: float = 0.01
-    memory: float = 0.05
-    cell_memory: float = 0.2
-    loaded_range: float = 4.0
-    open_cell: float = 6.0
-    independent_frames: float = 3.0
-    most_creep: float = 0.2
-    lasting_share: float = 0.5
-
-    def resting_sd(self, minutes: float) -> float:
-        """Return the standard deviation of ln r/r0 of an untouched cell, minutes after its zero."""
-        return hypot(self.unloaded, self.drift * minutes)
+def drift_sd(minutes: float) -> float:
+    """Return the standard deviation of ln r/r0 of an untouched cell, minutes after its zero."""
+    return hypot(RESTING_SD, DRIFT_PER_MINUTE * minutes)
 
 
-ERRORS = MemoryErrors()
 NO_CREEP = "creep not estimated: what stays after loads does not fade as creep does"
 
 
@@ -396,9 +372,8 @@ class FilmKnown:
         more_hysteresis, more_creep = np.array(films).T[..., None, None] * np.ones(water.shape)
         creep, creep_sd = self.cells or self.creep
         hysteresis = self.hysteresis.mean + more_hysteresis * self.hysteresis.sd
-        strength = creep + more_creep * creep_sd
         gain = self.film.answer * response.gains * np.ones(hysteresis.shape)
-        return FilmMemory.at_rest(hysteresis, strength, gain, water, response)
+        return FilmMemory.at_rest(hysteresis, creep + more_creep * creep_sd, gain, water, response)
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
         """Return the film with the posterior of its creep, given a recording.
@@ -406,10 +381,10 @@ class FilmKnown:
         A creep that the scene specifies is not estimated. After a load a cell still shows c Σ s_j
         and a constant share ρ of its largest response. With exponential priors
 
-            P(c, ρ | data) ∝ P(c) P(ρ) Π [½ N(u; 0, σ) + ½/`loaded_range`]
+            P(c, ρ | data) ∝ P(c) P(ρ) Π [½ N(u; 0, σ) + ½/`LOADED_RANGE`]
 
         over frames and cells, where u is ln r/r_rest without both. Where cells may differ, each has
-        its own posterior about the common one. If the mean exceeds `most_creep`, the residue is not
+        its own posterior about the common one. If the mean exceeds `MAX_CREEP`, the residue is not
         taken for creep.
 
         Parameters
@@ -423,7 +398,7 @@ class FilmKnown:
             return self
         usual = self.film.strength("creep_per_decade")
         data = (self.film.answer, change, sd, time)
-        likelihood = _likelihood(*data, ERRORS.cell_memory, RESIDUES).sum(axis=(2, 3))
+        likelihood = _likelihood(*data, CELL_MEMORY_SD, RESIDUES).sum(axis=(2, 3))
         logarithm = likelihood - RESIDUES[:, None] / self.residue - CREEPS / usual.mean
         # moments of c, marginal over ρ; then of ρ, integrated over c with the grid's spacing
         mean, shared = (
@@ -431,14 +406,14 @@ class FilmKnown:
         )
         volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1)
         residue, residue_sd = _moments(volume, RESIDUES)
-        if mean > ERRORS.most_creep:
-            return replace(self, creep=Strength(0.0, 0.0), residue=ERRORS.lasting_share)
+        if mean > MAX_CREEP:
+            return replace(self, creep=Strength(0.0, 0.0), residue=LASTING_SHARE)
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
         lasting = float(np.hypot(residue, residue_sd))
-        creep = Strength(mean, float(np.hypot(spread, ERRORS.cell_memory * mean)))
+        creep = Strength(mean, float(np.hypot(spread, CELL_MEMORY_SD * mean)))
         cells = None
         if spread > shared:
-            by_cell = _likelihood(*data, ERRORS.memory, residue[None])[0]
+            by_cell = _likelihood(*data, MEMORY_SD, residue[None])[0]
             cells = _moments(by_cell - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2, CREEPS)
         origin = (
             f"estimated from the recording, and {100 * lasting:.1f} % of a load may stay after it"
@@ -511,7 +486,7 @@ def _likelihood(
     """
     likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
     # Other cells are explained equally by every c.
-    loaded = np.nanmax(-change, axis=0, initial=0.0) > ERRORS.unloaded
+    loaded = np.nanmax(-change, axis=0, initial=0.0) > RESTING_SD
     change = change[:, loaded]
     sd = sd[:, loaded]
     share = residues[:, None, None]
@@ -525,23 +500,21 @@ def _likelihood(
         if not finite.any():
             continue
         fading = creep.answer(np.zeros(creep.strength.shape), seconds)
-        answer = np.where(
-            finite, np.clip(-frame / gain, -ERRORS.open_cell, ERRORS.open_cell), fading
-        )
-        drift = ERRORS.resting_sd((frame_time - time[0]) / 60)
+        answer = np.where(finite, np.clip(-frame / gain, -OPEN_CELL, OPEN_CELL), fading)
+        drift = drift_sd((frame_time - time[0]) / 60)
         stays = fading + share * peak
         variance = (np.where(finite, error, 0.0) / gain) ** 2 + drift**2 + (memory * stays) ** 2
         # N(u; 0, σ) with σ² of the estimate, drift and memory; total += ln(½ N + ½/range), resting
         # += P(no load)
         density = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
-        density *= stays <= ERRORS.lasting_share * peak
-        total += finite * np.log((density + 1 / ERRORS.loaded_range) / 2)
-        resting += finite * density / (density + 1 / ERRORS.loaded_range)
+        density *= stays <= LASTING_SHARE * peak
+        total += finite * np.log((density + 1 / LOADED_RANGE) / 2)
+        resting += finite * density / (density + 1 / LOADED_RANGE)
         peak = np.fmax(peak, np.where(finite, answer[0].clip(0.0), 0.0))
         creep = creep.after(creep.at_once(answer, seconds), seconds)
         last = float(frame_time)
-    # the unloaded frames of a cell count as `independent_frames` at most
+    # the unloaded frames of a cell count as `INDEPENDENT_FRAMES` at most
     likelihood[..., loaded] = total / np.maximum(
-        resting.max(axis=1, keepdims=True) / ERRORS.independent_frames, 1.0
+        resting.max(axis=1, keepdims=True) / INDEPENDENT_FRAMES, 1.0
     )
     return likelihood

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.apps.film.memory import ERRORS, MIN_PERIOD, FilmKnown, FilmMemory
+from lampest.apps.film.memory import MIN_PERIOD, FilmKnown, FilmMemory, drift_sd
 from lampest.apps.film.tare import TareWatch
 from lampest.estimate.estimator import Tare
 from lampest.files.levels import NOISE_REACH, TWO_SIDED
@@ -20,7 +20,6 @@ from lampest.panel.effects import systematic_of
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
 from lampest.panel.scene import Scene
-from lampest.panel.sizes import Systematic
 
 MIN_TOUCH = 0.1  # ln r/r0: less may be drift alone, half a kPa of the published film
 
@@ -105,12 +104,10 @@ def pressure_of(
     frames = list[Pressure]()
     tared = list[str]()
     times = np.arange(float(len(ratio))) if time is None else time
-    for number, at in enumerate(times):
+    for number, at in enumerate(times.tolist()):
         frame_own = None if own is None else own[number]
-        frames.append(
-            track.pressure(ratio[number], lower[number], upper[number], float(at), frame_own)
-        )
-        track = track.after(ratio[number], float(at))
+        frames.append(track.pressure(ratio[number], lower[number], upper[number], at, frame_own))
+        track = track.after(ratio[number], at)
         tared.append(track.tared)
     maps = [name for name in vars(frames[0]) if name != "tared"]
     return Pressure(
@@ -223,7 +220,7 @@ class PressureTrack:
         errors = (of_change(-below / TWO_SIDED) - of_change(above / TWO_SIDED)) / 2
         errors = np.hypot(errors, memory_kpa)
         own_sd = (fell + rose) / (2 * TWO_SIDED) if own is None else own
-        scatter = np.hypot(own_sd, scatter_sd(self.scene, systematic_of(self.scene)) * answer)
+        scatter = np.hypot(own_sd, scatter_sd(self.scene) * answer)
         individual, common = _own_and_common(errors, of_change, scatter)
         with np.errstate(invalid="ignore"):
             fall_sd = np.hypot(
@@ -257,7 +254,7 @@ class PressureTrack:
         """
         bent_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
         relative_sd = np.hypot(response_sd(self.scene, answer), bent_sd)
-        return np.asarray(np.hypot(resting_sd, relative_sd * answer))
+        return np.hypot(resting_sd, relative_sd * answer)
 
     def _pressure_by_change(
         self, change: Array, expected: Array, time: float
@@ -289,20 +286,22 @@ class PressureTrack:
         change = self._change(ratio)
         seconds = self._seconds(time)
         track = self
-        zeroed = time if self.zeroed is None else self.zeroed
         if np.isfinite(change).any():
-            films = self.films.observed(change - self.zeros, seconds)
-            peak = np.fmax(self.peak, np.abs(change))
-            track = replace(self, films=films, time=time, zeroed=zeroed, peak=peak)
+            track = replace(
+                self,
+                films=self.films.observed(change - self.zeros, seconds),
+                time=time,
+                zeroed=time if self.zeroed is None else self.zeroed,
+                peak=np.fmax(self.peak, np.abs(change)),
+            )
         if self.watch is None:
             return track
         memory = self.films.fading(seconds)[0]
         zero = self.zeros[0]
         watch, moved, tared = self.watch.after(change - (memory + zero), memory, time)
         if moved is not None:
-            track = track._zeroed(
-                moved + (track.films.fading(track._seconds(time))[0] + zero), time
-            )
+            remembered = track.films.fading(track._seconds(time))[0]
+            track = track._zeroed(moved + (remembered + zero), time)
         return replace(track, watch=watch, tared=tared)
 
     def rebased(self, time: float) -> "PressureTrack":
@@ -323,7 +322,7 @@ class PressureTrack:
         return 1.0 if self.time is None else max(time - self.time, MIN_PERIOD)
 
     def _change(self, ratio: Array) -> Array:
-        return np.asarray(np.log(ratio) - self.scene.common_change[0])
+        return np.log(ratio) - self.scene.common_change[0]
 
     def _resting_sd(self, ratio: Array, time: float) -> Array:
         """Return the standard deviation of ln r/r_rest without a load.
@@ -331,13 +330,12 @@ class PressureTrack:
         The film's residue, drift and common change cause it. Residue and drift are multiplied by
         √(1 − x²/peak²), because they show as far as the largest load is gone.
         """
-        change = self._change(ratio)
-        spread = np.zeros(ratio.shape)
+        spread: Array | float = 0.0
         if self.residue and self.zeroed is not None:
-            drift = ERRORS.resting_sd((time - self.zeroed) / 60)
-            gone = 1 - (change / np.maximum(self.peak, MIN_TOUCH)) ** 2
+            drift = drift_sd((time - self.zeroed) / 60)
+            gone = 1 - (self._change(ratio) / np.maximum(self.peak, MIN_TOUCH)) ** 2
             spread = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
-        return np.asarray(np.hypot(spread, self.scene.common_change[1]))
+        return np.hypot(spread, self.scene.common_change[1])
 
     def _of_films(
         self, value: Callable[[Array, float], Array], change: Array, time: float
@@ -397,14 +395,15 @@ def response_sd(scene: Scene, answer: Array) -> Array:
     """
     response = scene.response or PUBLISHED
     curve = response.curve_sd(response.pressure(answer / response.gains))
-    return np.asarray(np.hypot(scatter_sd(scene, systematic_of(scene)), curve))
+    return np.hypot(scatter_sd(scene), curve)
 
 
-def scatter_sd(scene: Scene, errors: Systematic | None) -> Array:
+def scatter_sd(scene: Scene) -> Array:
     """Return each cell's own part of `response_sd`.
 
     The sources are, in this order, measured gains, the specified error, and RESPONSE_SD.
     """
+    errors = systematic_of(scene)
     assumed = RESPONSE_SD if errors is None or errors.response_sd is None else errors.response_sd
     measured = None if scene.response is None else scene.response.gain_sd
     return np.array(assumed if measured is None else measured)

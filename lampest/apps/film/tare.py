@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lampest.apps.film.memory import ERRORS
+from lampest.apps.film.memory import CELL_MEMORY_SD, RESTING_SD
 from lampest.files.levels import MAD_TO_SIGMA, MAX_MEAN_SQUARE, OUTLIER_THRESHOLD, TWO_SIDED
 from lampest.panel.panel import Array
 
@@ -90,8 +90,8 @@ class TareWatch:
         finite = np.isfinite(frames).all(axis=0)
         noise = sigma_of_frames(frames[:, finite])
         half = len(frames) // 2
-        drift = np.hypot(ERRORS.unloaded, self.tare.drift_per_minute * minutes)
-        moved = np.hypot(drift, ERRORS.cell_memory * memory[finite])
+        drift = np.hypot(RESTING_SD, self.tare.drift_per_minute * minutes)
+        moved = np.hypot(drift, CELL_MEMORY_SD * memory[finite])
         # deviations in units of noise, drift and memory: none beyond OUTLIER_THRESHOLD, mean square
         # near 1 in every frame
         departure = frames[:, finite] / np.hypot(noise, moved)

@@ -16,8 +16,8 @@ APPLICATION = Application(
         ),
     },
     answers={
-        "a table": "lampest.apps.foreign.labelled:understood_table",
-        "a labelled array": "lampest.apps.foreign.labelled:labelled_array",
+        "a table": "lampest.apps.foreign.records:understood_table",
+        "a labelled array": "lampest.apps.foreign.records:labelled_array",
         "lines as they come": "lampest.apps.foreign.line_reader:LineReader",
     },
 )

@@ -115,21 +115,25 @@ def joined_frames(parts: Sequence[Frames], files: Sequence[str], source: str, no
         Name of all files together, which have no times.
     note : str
     """
-    ends = np.cumsum([len(part.numbers) for part in parts])
-    begins = (ends - [len(part.numbers) for part in parts]).tolist()
-    shifted = [
+    lengths = [len(part.numbers) for part in parts]
+    ends = np.cumsum(lengths)
+    begins = (ends - lengths).tolist()
+    number = [
         np.where(part.number < 0, -1, part.number + begin)
         for part, begin in zip(parts, begins, strict=True)
     ]
 
     def named(at: int) -> str:
-        part = int(np.searchsorted(ends, max(at, 0), side="right"))
+        part = int(np.searchsorted(ends, at, side="right"))
         return source if at < 0 else parts[part].named(at - begins[part])
 
-    words = tuple(dict.fromkeys(word for part in parts for word in part.words))
-    numbers = np.concatenate([part.numbers for part in parts])
     return Frames(
-        numbers, np.concatenate(shifted), named, None, (note, *_joined_notes(parts, files)), words
+        np.concatenate([part.numbers for part in parts]),
+        np.concatenate(number),
+        named,
+        None,
+        (note, *_joined_notes(parts, files)),
+        tuple(dict.fromkeys(word for part in parts for word in part.words)),
     )
 
 
@@ -267,20 +271,20 @@ def _of_npz(path: Path) -> Arrays:
     check_archive(path)
     arrays = {}
     with zipfile.ZipFile(path) as archive:
-        for name in (name for name in archive.namelist() if name.endswith(".npy")):
-            with archive.open(name) as stream:
+        for member in archive.namelist():
+            name = member.removesuffix(".npy")
+            if name == member:
+                continue
+            with archive.open(member) as stream:
                 first = npy.read_magic(stream) == (1, 0)
-                header = (npy.read_array_header_1_0 if first else npy.read_array_header_2_0)(stream)
-                shape, _, dtype = header
-                member = name.removesuffix(".npy")
+                read = npy.read_array_header_1_0 if first else npy.read_array_header_2_0
+                shape, _, dtype = read(stream)
                 stream.seek(0)
                 if dtype.kind in "iufM":
-                    check_count(f"{path}: {member}", prod(shape))
-                    array = npy.read_array(stream, allow_pickle=False)
-                    since_1970 = (
-                        array.astype("M8[ns]").astype(float) / 1e9 if dtype.kind == "M" else array
-                    )
-                    arrays[member] = since_1970
+                    check_count(f"{path}: {name}", prod(shape))
+                    arrays[name] = npy.read_array(stream, allow_pickle=False)
+                if dtype.kind == "M":  # s since 1970
+                    arrays[name] = arrays[name].astype("M8[ns]").astype(float) / 1e9
     return arrays
 
 
@@ -314,12 +318,11 @@ def _of_mat(path: Path) -> Arrays:
 def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, int]:
     """Return kind and content of the data element at a position, and the next position."""
     kind, size = struct.unpack_from(order + "II", view, at)
-    small = kind >> 16  # its size: a small one holds both in eight bytes
     name = ELEMENTS.split()[kind & 0xFFFF]
     begin = at + 8
-    after = at + 8 + size + (0 if name == "compressed" else -size % 8)
-    if small:
-        size = small
+    after = begin + size + (0 if name == "compressed" else -size % 8)
+    if kind >> 16:  # the size of a small one, which holds both in eight bytes
+        size = kind >> 16
         begin = at + 4
         after = at + 8
     if begin + size > len(view):
@@ -332,9 +335,12 @@ def _matrix(body: memoryview, order: str) -> Arrays:
 
     The result is empty for texts, structures, cells and complex values.
     """
-    _, flags, at = _element(body, 0, order)
-    _, size, at = _element(body, at, order)
-    _, name, at = _element(body, at, order)
+    at = 0
+    parts = []
+    for _ in range(3):
+        _, part, at = _element(body, at, order)
+        parts.append(part)
+    flags, size, name = parts
     (word,) = struct.unpack_from(order + "I", flags)
     if not 6 <= word & 0xFF <= 15 or word & 0x800:  # double to uint64; complex
         return {}
@@ -424,21 +430,28 @@ def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | N
         raise InputError(f"{where}: is {_by(array.shape)}, which {ways}")
     check_count(where, array.size)
     layout, *alternatives = fits[name]
-    indices: Numbers = np.arange(array.size).reshape(array.shape)
+    number: Numbers = np.arange(array.size).reshape(array.shape)
+    source = f"{where}[:, 0]"
+    word = ""
+    origin = ""
+    times: Array | None = None
     if layout == TIMED:
-        number = indices[:, 1:].reshape(-1, *shape)
-    else:
-        number = (indices.transpose(2, 0, 1) if layout == STACKED else indices).reshape(-1, *shape)
+        number = number[:, 1:]
+        times = array[:, 0]
+    elif layout == STACKED:
+        number = number.transpose(2, 0, 1)
+    number = number.reshape(-1, *shape)
+    beside = None if layout == TIMED else _times_beside(arrays, name, len(number))
+    if beside is not None:
+        source = f"{path}: {beside}"
+        word = _last(beside)
+        origin = f"array {beside} in "
+        times = arrays[beside].ravel()
     second = f" ({alternatives[0]} would fit, too)" if alternatives else ""
     note = f"{f'array {name} ' if name else ''}read as {layout}{second}"
-    times: tuple[str, Array] | None
-    if layout == TIMED:
-        times = f"{where}[:, 0]", np.asarray(array[:, 0], dtype=float)
-    else:
-        times = _times_beside(path, arrays, name, len(number))
     values = array.ravel().astype(float)
     values[np.isnan(values)] = np.nan  # a signalling NaN would raise warnings in arithmetic
-    written, unwritten = _written(arrays, values[number], None if times is None else times[1])
+    written, unwritten = _written(arrays, values[number], times)
 
     def named(at: int) -> str:
         index = ", ".join(str(part + matlab) for part in np.unravel_index(max(at, 0), array.shape))
@@ -446,19 +459,12 @@ def frames_of_arrays(path: Path, arrays: Arrays, shape: Shape, variable: str | N
 
     def clock(unit: str | None) -> Clock:
         assert times is not None
-        source, of_frames = times
-        word = "" if layout == TIMED else _last(source)
-        read = clock_of_numbers(of_frames[:written], word, lambda frame: f"{source}[{frame}]", unit)
-        return read.read_from("" if layout == TIMED else f"array {source.split(': ')[-1]} in ")
+        of_frames = np.asarray(times[:written], dtype=float)
+        read = clock_of_numbers(of_frames, word, lambda frame: f"{source}[{frame}]", unit)
+        return read.read_from(origin)
 
-    return Frames(
-        values,
-        number[:written],
-        named,
-        clock if times is not None else None,
-        (note, *unwritten),
-        (name,),
-    )
+    timing = None if times is None else clock
+    return Frames(values, number[:written], named, timing, (note, *unwritten), (name,))
 
 
 def _last(name: str) -> str:
@@ -469,22 +475,15 @@ def _last(name: str) -> str:
 def _fitting(array: NDArray[Any], shape: Shape, layouts: Sequence[str]) -> list[str]:
     """Return those of the layouts in which an array holds frames of a panel, in their order."""
     cells = shape[0] * shape[1]
-    sizes: dict[str, tuple[int | None, ...]] = {
+    first, last = (array.shape[0], array.shape[-1]) if array.ndim else (0, 0)
+    sizes = {
         ONE: shape,
-        FRAMES: (None, *shape),
-        FLAT: (None, cells),
-        TIMED: (None, cells + 1),
-        STACKED: (*shape, None),
-    }  # None: any positive length
-    fitting = [
-        layout
-        for layout in layouts
-        if len(array.shape) == len(sizes[layout])
-        and all(
-            has and size in (has, None)
-            for has, size in zip(array.shape, sizes[layout], strict=True)
-        )
-    ]
+        FRAMES: (first, *shape),
+        FLAT: (first, cells),
+        TIMED: (first, cells + 1),
+        STACKED: (*shape, last),
+    }
+    fitting = [layout for layout in layouts if array.size and array.shape == sizes[layout]]
     if TIMED in fitting:
         # the first column has to grow, but for frames at the end that are 0
         times = np.trim_zeros(np.asarray(array[:, 0], dtype=float), "b")
@@ -493,18 +492,15 @@ def _fitting(array: NDArray[Any], shape: Shape, layouts: Sequence[str]) -> list[
     return fitting
 
 
-def _times_beside(path: Path, arrays: Arrays, name: str, frames: int) -> tuple[str, Array] | None:
-    """Return the place and the values of the times of an array, first of those in its group."""
+def _times_beside(arrays: Arrays, name: str, frames: int) -> str | None:
+    """Return the name of the times of an array, first of those in its group; None without any."""
     group = name.rpartition("/")[0]
     fitting = [
         time
         for time in arrays
         if role_of(_last(time)) == "time" and arrays[time].size == frames and time != name
     ]
-    if not fitting:
-        return None
-    chosen = min(fitting, key=lambda time: time.rpartition("/")[0] != group)
-    return f"{path}: {chosen}", np.asarray(arrays[chosen], dtype=float).ravel()
+    return min(fitting, key=lambda time: time.rpartition("/")[0] != group, default=None)
 
 
 def _written(arrays: Arrays, values: Array, times: Array | None) -> tuple[int, tuple[str, ...]]:
@@ -513,8 +509,9 @@ def _written(arrays: Arrays, values: Array, times: Array | None) -> tuple[int, t
     for name, array in arrays.items():
         words = set(re.findall(r"[a-z]+", _last(name).lower()))
         if array.size == 1 and words & COUNTS and array.item() in range(1, count):
-            left = counted(count - int(array.item()), "frame")
-            return int(array.item()), (f"{left} behind the {int(array.item())} of {name} left out",)
+            written = int(array.item())
+            left = counted(count - written, "frame")
+            return written, (f"{left} behind the {written} of {name} left out",)
     if times is None:
         return count, ()
     filled = np.flatnonzero((times != 0) | np.any(values != 0, axis=(1, 2)))
@@ -527,23 +524,22 @@ def _chosen(
     path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape, variable: str | None
 ) -> str:
     """Return the name of the requested array, or of the only one that fits."""
-    if variable is not None and variable not in arrays:
+    if variable is not None:
+        if variable in arrays:
+            return variable
         raise InputError(
             f"{path}: no numeric array '{variable}'; there are {', '.join(arrays) or 'none'}"
         )
-    chosen = (
-        [name for name in arrays if fits[name] or name == ""] if variable is None else [variable]
-    )
+    chosen = [name for name in arrays if fits[name] or name == ""]
     if len(chosen) > 1:
         raise InputError(f"{path}: {', '.join(chosen)} would all fit; say which with `variable`")
-    if not chosen:
-        listed = (
-            ", ".join(f"{name} ({_by(array.shape)})" for name, array in arrays.items()) or "none"
-        )
-        raise InputError(
-            f"{path}: no array fits {shape[0]} × {shape[1]} cells; the numeric arrays are: {listed}"
-        )
-    return chosen[0]
+    if chosen:
+        return chosen[0]
+    listed = ", ".join(f"{name} ({_by(array.shape)})" for name, array in arrays.items())
+    raise InputError(
+        f"{path}: no array fits {shape[0]} × {shape[1]} cells; "
+        f"the numeric arrays are: {listed or 'none'}"
+    )
 
 
 def _by(size: Sequence[int]) -> str:

@@ -46,7 +46,7 @@ def with_one_clock(table: ReadingsTable) -> ReadingsTable:
     first, second = (of_epoch, of_clock) if "nanosecond" in of_epoch else (of_clock, of_epoch)
     parts = [one or other or word for one, other, word in zip(first, second, words, strict=True)]
     for needed in (DATE, CLOCK, EPOCH):
-        if not all(part in parts for part in needed):
+        if not {*needed} <= {*parts}:
             continue
         fields = [parts.index(part) for part in needed]
         after = fields[-1] + 1
@@ -78,54 +78,48 @@ def described(table: ReadingsTable, shape: Shape) -> ReadingsTable:
     same = np.append(False, np.all(table.fields[1:] == table.fields[:-1], axis=1))
     clear = table.only(~same & np.any(table.fields != "", axis=1))  # not doubled, nor damaged
     numbers = not np.any(clear.words)
-    fits = numbers and table.width in (shape[0] * shape[1], shape[1])
+    cells = shape[0] * shape[1]
+    fits = numbers and table.width in (cells, shape[1])
     # It would fit with rows and columns exchanged, unless a field counts the rows.
     turned = numbers and table.width == shape[0]
     if any(table.names) or len(table.lines) < MIN_LINES or fits:
         return table
     marks = np.array([np.all(column == column[0]) and column[0] != "" for column in clear.fields.T])
-    for needed, rows in ((shape[0] * shape[1], 1), (shape[1], shape[0])):
+    for needed, rows in ((cells, 1), (shape[1], shape[0])):
         extra = table.width - needed
         if not 1 <= extra <= MAX_BESIDE:
             continue
-        for trailing in range(extra + 1):
-            lead = range(extra - trailing)
-            end = range(table.width - trailing, table.width)
-            names = _names_beside(clear, [*lead, *end], len(lead), rows, marks)
+        for lead in range(extra, -1, -1):
+            fields = [*range(lead), *range(needed + lead, table.width)]
+            names = _names_beside(clear, fields, lead, rows, marks)
             if names is None or (turned and "row" not in names):
                 continue
             alone = names == ["row"] or (len(names) == 1 and rows == 1 and names != [SKIPPED])
-            alone = alone and not trailing
-            return table if alone else _named(table, names, len(lead))
+            return table if alone and lead == extra else _named(table, names, fields)
         if extra == 1:
             return table
     return table
 
 
-def _named(table: ReadingsTable, names: Sequence[str], lead: int) -> ReadingsTable:
-    """Return the table with its named fields first, and without those called '-'.
-
-    The first `lead` of the named fields already stand before the readings.
-    """
-    trailing = len(names) - lead
-    order = [
-        *range(lead),
-        *range(table.width - trailing, table.width),
-        *range(lead, table.width - trailing),
-    ]
-    named = [f"field {order[at] + 1} {name}" for at, name in enumerate(names) if name != SKIPPED]
-    marks = [f"field {order[at] + 1}" for at, name in enumerate(names) if name == SKIPPED]
+def _named(table: ReadingsTable, names: Sequence[str], fields: Sequence[int]) -> ReadingsTable:
+    """Return the table with its named fields first, and without those called '-'."""
+    others = [at for at in range(table.width) if at not in fields]
+    titles = [f"field {at + 1}" for at in fields]
+    pairs = list(zip(titles, names, strict=True))
+    named = [f"{title} {name}" for title, name in pairs if name != SKIPPED]
+    marks = [title for title, name in pairs if name == SKIPPED]
     notes = list[str]()
     if named:
         notes.append(f"no header: {', '.join(named)}; `layout` says otherwise")
     if marks:
         notes.append(f"{', '.join(marks)} left out: beside the readings, and no time")
-    every = (*names, *[""] * (table.width - len(names)))
-    table = replace(table.only(columns=order), names=every).with_notes(*notes)
+    table = replace(
+        table.only(columns=[*fields, *others]), names=(*names, *[""] * len(others))
+    ).with_notes(*notes)
     parts = {name: at for at, name in enumerate(names) if name in (*CLOCK, *EPOCH)}
     if parts:
         table = _clocked(table, parts)
-    return table.only(columns=[at for at, name in enumerate(table.names) if name != SKIPPED])
+    return table.only(columns=[name != SKIPPED for name in table.names])
 
 
 def _names_beside(
@@ -135,10 +129,9 @@ def _names_beside(
 
     The first `lead` of them stand before the readings.
     """
-    leading = [_is_row(table.fields[:, field], rows) for field in fields[:lead]] if rows > 1 else []
-    names: list[str | None] = [
+    names = [
         "row"
-        if at < len(leading) and leading[at]
+        if rows > 1 and at < lead and _is_row(table.fields[:, field], rows)
         else _name_of(table, field, rows, mark=bool(marks[field]))
         for at, field in enumerate(fields)
     ]
@@ -157,21 +150,20 @@ def _names_beside(
         return None
     complete = [name or SKIPPED for name in names]
     # A file has one clock: that of hour, minute and second, or its first time.
+    first = complete.index("time") if "time" in complete else -1
     if "hour" in complete or "epoch" in complete:
-        return [SKIPPED if name == "time" else name for name in complete]
-    first = complete.index("time") if "time" in complete else len(complete)
-    return [SKIPPED if name == "time" and at > first else name for at, name in enumerate(complete)]
+        first = -1
+    return [SKIPPED if name == "time" and at != first else name for at, name in enumerate(complete)]
 
 
 def _name_of(table: ReadingsTable, field: int, rows: int, *, mark: bool) -> str | None:
     """Return the role of an additional field: 'time', 'frame', or '-' for a mark; else None."""
-    texts = table.fields[:, field]
-    values = _counting(unwrapped(table.line_numbers(field)))
     words = table.words[:, field]
-    if all(is_stamp(text) for text in set(texts[words])) and words.all():
+    if words.all() and all(map(is_stamp, set(table.fields[:, field]))):
         return "time"
     if mark:
         return SKIPPED
+    values = _counting(unwrapped(table.line_numbers(field)))
     with np.errstate(invalid="ignore"):  # of two infinite numbers: no step that grows
         steps = np.diff(values)
     rising = np.mean(steps >= 0) >= 1 - MAX_CUT  # but for lines that are lost or swapped
@@ -191,7 +183,7 @@ def _counting(values: Array) -> Array:
         return values
     size = float(values.max()) + 1
     wraps = values[:-1] - values[1:] >= MIN_WRAP * size
-    return np.asarray(values + size * np.cumsum(np.append(0, wraps)))
+    return values + size * np.cumsum(np.append(0, wraps))
 
 
 def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
@@ -201,7 +193,7 @@ def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
     """
     numbers = np.array([(line_of(text) or ("", -1))[1] for text in texts])
     first = int(numbers.min())
-    follows = (np.diff(numbers) == 1) | (numbers[1:] < numbers[:-1])
+    follows = (np.diff(numbers) == 1) | (np.diff(numbers) < 0)
     counted = first in (0, 1) and int(numbers.max()) - first == rows - 1
     return counted and bool(np.mean(follows) >= 1 - MAX_CUT)
 
@@ -223,4 +215,4 @@ def _is_epoch(values: Array) -> bool:
     whole = np.all(np.isfinite(values) & (values == np.round(values)))
     since = whole and np.all(np.diff(seconds) >= 0) and seconds[0] >= LEAST_EPOCH
     within = np.all((nanoseconds >= 0) & (nanoseconds < 1e9))
-    return bool(whole and since and within and np.ptp(nanoseconds) > 0)
+    return bool(since and within and np.ptp(nanoseconds) > 0)

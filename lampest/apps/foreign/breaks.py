@@ -21,13 +21,6 @@ MAX_MISFIT = 0.98  # mean distance from the rows' medians, over that without bre
 MIN_STEP = 3.0  # times the second largest step between neighbouring lines: the end of a frame
 
 
-class WholeFrames(NamedTuple):
-    """Whole frames between breaks: lines from `begin` to `end`, without the latter."""
-
-    begin: int
-    end: int
-
-
 class Break(NamedTuple):
     """Lines too many (positive) or too few at a place, which is between two lines."""
 
@@ -36,50 +29,50 @@ class Break(NamedTuple):
     shift: int
 
 
-def whole_parts(values: Array, rows: int) -> tuple[WholeFrames, ...] | None:
+def whole_parts(values: Array, rows: int) -> list[range] | None:
     """Return the parts of whole frames in lines without marks, (lines, columns).
 
-    The last part may end with a cut frame. None if the lines are no whole number of frames, and the
-    readings do not show why.
+    The parts are lines between breaks; the last one may end with a cut frame. None if the lines are
+    no whole number of frames, and the readings do not show why.
     """
     values = np.where(np.isinf(values), np.nan, values)
     surplus = len(values) % rows
     breaks = _breaks(values, rows)
-    if sum(found.shift for found in breaks) % rows != surplus:  # they do not account for all lines
-        alone = [found for found in breaks if found.shift % rows == surplus]
+    if sum(place.shift for place in breaks) % rows != surplus:  # they do not account for all lines
+        alone = [place for place in breaks if place.shift % rows == surplus]
         if surplus == 0 or len(values) < MIN_FRAMES * rows:
             breaks = []
         elif len(alone) == 1:
             breaks = alone
         else:
             begin = None if breaks else _first_row(values, rows)
-            return None if begin is None else (WholeFrames(begin, len(values)),)
+            return None if begin is None else [range(begin, len(values))]
     parts = _between(breaks, len(values), rows)
-    plain = (WholeFrames(0, len(values)),)
+    plain = [range(len(values))]
     if not breaks or _misfit(values, rows, parts) < MAX_MISFIT * _misfit(values, rows, plain):
         return parts
     return None if surplus else plain
 
 
-def _between(breaks: list[Break], lines: int, rows: int) -> tuple[WholeFrames, ...]:
+def _between(breaks: list[Break], lines: int, rows: int) -> list[range]:
     """Return the parts of whole frames between breaks."""
-    parts = list[WholeFrames]()
+    parts = list[range]()
     begin = 0
     displacement = 0
     for first, last, shift in breaks:
         displacement += shift
-        parts.append(WholeFrames(begin, max(begin + (first - begin) // rows * rows, begin)))
+        parts.append(range(begin, max(begin + (first - begin) // rows * rows, begin)))
         begin = last + max(shift, 0)
         begin += (displacement - begin) % rows
-    return (*parts, WholeFrames(begin, lines))
+    return [*parts, range(begin, lines)]
 
 
-def _misfit(values: Array, rows: int, parts: tuple[WholeFrames, ...]) -> float:
+def _misfit(values: Array, rows: int, parts: list[range]) -> float:
     """Return the mean distance of all lines of whole frames from the median of their row."""
     frames = np.concatenate(
         [
-            values[begin : begin + (end - begin) // rows * rows].reshape(-1, rows, values.shape[1])
-            for begin, end in parts
+            values[part[: len(part) // rows * rows]].reshape(-1, rows, values.shape[1])
+            for part in parts
         ]
     )
     return float(np.nan_to_num(np.abs(frames - np.median(frames, axis=0))).mean())
@@ -89,15 +82,12 @@ def _breaks(values: Array, rows: int) -> list[Break]:
     """Return the breaks that the lines show, in their order."""
     found = list[tuple[float, Break]]()
     own = _distances(values, rows)
-    most = min(MAX_SHIFT, rows // 3)
-    for shift in range(-most, most + 1):
+    most = min(MAX_SHIFT, rows // 3) if len(values) >= MIN_FRAMES * rows else 0
+    for shift in (*range(-most, 0), *range(1, most + 1)):
         length = rows + min(shift, 0)  # lines of a frame whose equals stand behind the break
-        if shift == 0 or len(values) < MIN_FRAMES * rows:
-            continue
         other = _distances(values, rows + shift)
         size = min(len(own), len(other))
-        before = _sums(own[:size], length)
-        after = _sums(other[:size], length)
+        before, after = (_sums(distances[:size], length) for distances in (own, other))
         contrast = np.where(before > MIN_LIKENESS * after, before - after, 0.0)
         while contrast.any():
             at = int(np.argmax(contrast))

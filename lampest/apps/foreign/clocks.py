@@ -76,11 +76,13 @@ def is_stamp(text: str) -> bool:
 def seconds_of(text: str, *, comma: bool) -> float:
     """Return a number as it is, and a time of day in s; NaN for another text."""
     number = number_of(text, comma=comma)
-    match = STAMP.fullmatch(text.strip()) if number is None else None
+    if number is not None:
+        return number
+    match = STAMP.fullmatch(text.strip())
     if match is None or not match[5]:
-        return np.nan if number is None else number
-    fraction = float(f"0.{match[8]}") if match[8] else 0.0
-    return 3600 * int(match[5]) + 60 * int(match[6]) + int(match[7] or 0) + fraction
+        return np.nan
+    second = float(f"{match[7] or 0}.{match[8] or 0}")
+    return 3600 * int(match[5]) + 60 * int(match[6]) + second
 
 
 def clock_of(
@@ -113,9 +115,14 @@ def clock_of(
         raise InputError(
             f"{where(0)}: {texts[0][:40]!r} is no number, so that it has no time unit {unit}"
         )
-    read = [text for text in texts if is_stamp(text)]
-    if len(texts) > len(read) >= (1 - MAX_CUT) * len(texts):
-        return _clock_of_some(texts, name, where, comma=comma)
+    stamped = [at for at, text in enumerate(texts) if is_stamp(text)]
+    if len(texts) > len(stamped) >= (1 - MAX_CUT) * len(texts):  # the others are interpolated
+        read = [texts[at] for at in stamped]
+        clock = clock_of(read, name, lambda at: where(stamped[at]), comma=comma, unit=None)
+        seconds = np.full(len(texts), np.nan)
+        seconds[stamped] = clock.seconds
+        seconds, cut = _growing(seconds, where)
+        return clock._replace(seconds=seconds, sentence=f"{clock.sentence}{cut}")
     dated = any(match[1] for match in map(STAMP.fullmatch, map(str.strip, texts)) if match)
     ways: dict[str, list[str]] = {}
     for way in DATES if dated else ("time of day",):
@@ -179,18 +186,6 @@ def _through_changes(seconds: Array, times: Sequence[datetime]) -> tuple[Array, 
     return seconds + shifts, f"; clocks were changed by an hour at {at}"
 
 
-def _clock_of_some(texts: Sequence[str], name: str, where: Where, *, comma: bool) -> Clock:
-    """Return times of frames of which a few have no stamp; these are interpolated."""
-    stamped = [at for at, text in enumerate(texts) if is_stamp(text)]
-    clock = clock_of(
-        [texts[at] for at in stamped], name, lambda at: where(stamped[at]), comma=comma, unit=None
-    )
-    seconds = np.full(len(texts), np.nan)
-    seconds[stamped] = clock.seconds
-    seconds, cut = _growing(seconds, where)
-    return Clock(seconds, clock.start, f"{clock.sentence}{cut}")
-
-
 def _iso(text: str, way: str) -> str:
     """Return a stamp in ISO 8601, by an order of its date's parts.
 
@@ -203,9 +198,8 @@ def _iso(text: str, way: str) -> str:
     if match[1]:
         parts = dict(zip(re.split("[-./]", way), match.group(1, 3, 4), strict=False))
     hours = int(match[5] or 0)
-    half = (match[9] or "").upper()
-    if half:
-        hours = hours % 12 + (12 if half == "PM" else 0)
+    if match[9]:
+        hours = hours % 12 + 12 * (match[9].upper() == "PM")
     fraction = f".{match[8]}" if match[8] else ""
     time = f"{hours:02d}:{match[6] or '00'}:{match[7] or '00'}{fraction}"
     zone = (match[10] or "").upper().replace("UTC", "Z")
@@ -247,12 +241,8 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     seconds, cut = _growing((values + COUNTER * wraps) * scale, where)
     times = "once" if wraps[-1] == 1 else f"{wraps[-1]} times"
     restarted = f"; the counter began again {times}" if wraps[-1] else ""
-    return Clock(
-        seconds,
-        None,
-        f"{unit or 's (assumed; --time-unit says otherwise)'}{restarted}{how}{cut}",
-        unit or "s",
-    )
+    sentence = f"{unit or 's (assumed; --time-unit says otherwise)'}{restarted}{how}{cut}"
+    return Clock(seconds, None, sentence, unit or "s")
 
 
 def _counted_unit(values: Array, largest: float, *, restarted: bool) -> tuple[str | None, str]:
@@ -272,14 +262,9 @@ def _counted_unit(values: Array, largest: float, *, restarted: bool) -> tuple[st
     finite = values[np.isfinite(values)]
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     # Frames come every 10 ms to 10 s.
-    if usual >= 10_000:
-        unit = "us"
-    elif usual >= 10:
-        unit = "ms"
-    else:
-        return None, ""
+    unit = "us" if usual >= 10_000 else "ms"
     limit = EPOCH if unit == "ms" and not restarted else COUNTER
-    if largest >= limit or not np.all(finite == np.round(finite)):
+    if usual < 10 or largest >= limit or not np.all(finite == np.round(finite)):
         return None, ""
     return unit, f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
 
@@ -287,11 +272,10 @@ def _counted_unit(values: Array, largest: float, *, restarted: bool) -> tuple[st
 def _are_days(values: Array) -> bool:
     """Return whether times are days since 1899-12-30, as Excel has them: fractions, of this age."""
     finite = values[np.isfinite(values)]
-    steps = np.diff(finite)
     return bool(
         len(finite) > 1
         and np.all((finite > EXCEL_DAYS[0]) & (finite < EXCEL_DAYS[1]))
-        and 0 < np.median(steps) < 1e-2
+        and 0 < np.median(np.diff(finite)) < 1e-2
         and np.any(finite != np.round(finite))
     )
 
@@ -366,7 +350,7 @@ def _continued(seconds: Array, where: Where) -> tuple[Array, str]:
 
 def unwrapped(values: Array) -> Array:
     """Return numbers of a counter of 32 bits that go on where it began again."""
-    return np.asarray(values + COUNTER * _restarts(values))
+    return values + COUNTER * _restarts(values)
 
 
 def _restarts(values: Array) -> Numbers:
@@ -389,11 +373,13 @@ def _longest_growing(values: Array) -> Mask:
     numbers = list[int]()
     before = list[int]()
     for number, value in enumerate(values.tolist()):
-        length = bisect_left(ends, value) if np.isfinite(value) else -1
-        before.append(numbers[length - 1] if length > 0 else -1)
-        if length >= 0:
-            ends[length : length + 1] = [value]
-            numbers[length : length + 1] = [number]
+        if not np.isfinite(value):
+            before.append(-1)
+            continue
+        length = bisect_left(ends, value)
+        before.append(numbers[length - 1] if length else -1)
+        ends[length : length + 1] = [value]
+        numbers[length : length + 1] = [number]
     chosen = np.zeros(len(values), dtype=bool)
     number = numbers[-1] if numbers else -1
     while number >= 0:

@@ -1,9 +1,9 @@
 """Division of the lines of a table into frames, by the marks that the table itself shows."""
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, repeat
 from math import inf, nan
 
 import numpy as np
@@ -38,17 +38,16 @@ MAX_REMARKS = 5  # on single frames
 
 def line_keys(table: ReadingsTable, arrangement: TableLayout, ends: FrameEnds) -> list[LineKeys]:
     """Return the keys by which the lines of a table end frames."""
-    count = len(table.lines)
     positions = arrangement.positions(table)
-    texts = {"time": [""] * count, **_key_texts(table, arrangement)}
-    shared: list[Hashable] = [None] * count
+    texts = {"time": [""] * len(table.lines), **_key_texts(table, arrangement)}
+    shared: Iterable[Hashable] = repeat(None)
     if ends.shared:
         of_lines = zip(*(texts[key] for key in ends.shared), strict=True)
-        shared = [line if all(line) else None for line in of_lines]
-    seconds = [nan] * count
+        shared = (line if all(line) else None for line in of_lines)
+    seconds: Iterable[float] = repeat(nan)
     if ends.max_step < inf:
-        seconds = [seconds_of(text, comma=table.comma) for text in texts["time"]]
-    places = [-1] * count if positions is None else positions.tolist()
+        seconds = (seconds_of(text, comma=table.comma) for text in texts["time"])
+    places = repeat(-1) if positions is None else positions.tolist()
     return list(map(LineKeys, shared, places, _marked(table, ends.titles), seconds))
 
 
@@ -85,7 +84,7 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
         number.reshape(-1, rows, columns),
         sorted(arrangement.cells),
         timing,
-        [f"{arrangement.note}{''.join(f'; {note}' for note in notes)}", *unused],
+        ["; ".join([arrangement.note, *notes]), *unused],
     )
 
 
@@ -103,11 +102,15 @@ def learned_ends(table: ReadingsTable, arrangement: TableLayout) -> FrameEnds:
     positions = arrangement.positions(table)
     texts = _key_texts(table, arrangement)
     changes = {key: changes_of(values) for key, values in texts.items()}
+
+    def steps() -> Array:
+        """Return the steps of the time between lines; none without times."""
+        return np.diff([seconds_of(text, comma=table.comma) for text in texts.get("time", ())])
+
     if positions is None:
-        titles = _titles_of_blocks(table, lines, changes)
+        titles = _titles_of_blocks(table, lines)
         keys = tuple(key for key in changes if are_whole(changes[key], lines))
-        step = inf if keys else _pause(texts, lines, table)
-        return FrameEnds(lines, {}, keys, titles, step)
+        return FrameEnds(lines, {}, keys, titles, inf if keys else _pause(steps(), lines))
     often = np.bincount(positions[positions >= 0], minlength=1)
     usual = int(np.sum(2 * often >= often.max()))
     kinds = {
@@ -117,13 +120,15 @@ def learned_ends(table: ReadingsTable, arrangement: TableLayout) -> FrameEnds:
     certain = [
         changed for changed in (*changes.values(), *kinds.values()) if are_whole(changed, usual)
     ]
-    parts = np.any(certain, axis=0) if certain else np.zeros(len(positions), dtype=bool)
+    parts = np.any([np.zeros(len(positions), dtype=bool), *certain], axis=0)
     ranks = scan_order(positions.tolist(), parts)
-    falls = _falls(positions, ranks)
+    rank = np.array([ranks.get(position, -1) for position in positions.tolist()])
+    falls = np.diff(rank) <= 0  # positions that do not rise
 
     def ends_frames(changed: Mask) -> bool:
+        begins = changed[1:]
         return are_whole(changed, usual) or bool(
-            np.any(changed[1:]) and np.mean(falls[1:][changed[1:]]) >= MIN_SHARE
+            np.any(begins) and np.mean(falls[begins]) >= MIN_SHARE
         )
 
     keys = tuple(
@@ -132,7 +137,7 @@ def learned_ends(table: ReadingsTable, arrangement: TableLayout) -> FrameEnds:
         if ends_frames(changed) or (key == "frame" and not np.all(changed[1:]))
     )
     titles = frozenset(kind for kind, marked in kinds.items() if ends_frames(marked))
-    step = inf if keys else _max_step(texts, falls, table)
+    step = inf if keys else _max_step(steps(), falls)
     return FrameEnds(usual, ranks, keys, titles, step, gapless=usual == len(ranks))
 
 
@@ -152,29 +157,27 @@ def _marked(table: ReadingsTable, titles: frozenset[str]) -> list[bool]:
     return [bool(kinds) if ANY in titles else bool(kinds & titles) for kinds in table.kinds]
 
 
-def _falls(positions: Numbers, ranks: Mapping[int, int]) -> Mask:
-    """Return whether the position of a line does not rise, boolean (lines,)."""
-    rank = np.array([ranks.get(position, -1) for position in positions.tolist()])
-    return np.append(False, rank[1:] <= rank[:-1])
-
-
-def _max_step(texts: dict[str, Sequence[str]], falls: Mask, table: ReadingsTable) -> float:
+def _max_step(steps: Array, falls: Mask) -> float:
     """Return the largest step of the time within a frame; ∞ where times do not resolve it.
 
     A longer step is that of lines that were lost: half a frame's duration.
+
+    Parameters
+    ----------
+    steps : array, shape (lines - 1,)
+        Steps of the time between lines; none without times.
+    falls : boolean array, shape (lines - 1,)
+        Whether the position of a line does not rise.
     """
-    steps = _steps(texts, table)
-    inner = steps[~falls[1:]] if len(steps) else steps
+    inner = steps[~falls] if len(steps) else steps
     if not np.any(steps > 0) or not np.any(falls) or not len(inner):
         return inf
-    period = float(np.nansum(np.maximum(steps, 0))) / float(np.sum(falls))
-    limit = float(np.nanmedian(inner)) + period / 2
-    return limit if period / 2 > float(np.min(steps[steps > 0])) else inf
+    half = float(np.nansum(np.maximum(steps, 0))) / float(np.sum(falls)) / 2
+    return float(np.nanmedian(inner)) + half if half > np.min(steps[steps > 0]) else inf
 
 
-def _pause(texts: dict[str, Sequence[str]], lines: int, table: ReadingsTable) -> float:
+def _pause(steps: Array, lines: int) -> float:
     """Return the largest step of the time within a frame where frames are apart; else ∞."""
-    steps = _steps(texts, table)
     frames = len(steps) // lines
     if frames < 2 or not np.all(np.isfinite(steps)):
         return inf
@@ -185,14 +188,7 @@ def _pause(texts: dict[str, Sequence[str]], lines: int, table: ReadingsTable) ->
     return limit if apart else inf
 
 
-def _steps(texts: dict[str, Sequence[str]], table: ReadingsTable) -> Array:
-    """Return the steps of the time between lines; none without times."""
-    if "time" not in texts:
-        return np.empty(0)
-    return np.diff([seconds_of(text, comma=table.comma) for text in texts["time"]])
-
-
-def _titles_of_blocks(table: ReadingsTable, lines: int, changes: dict[str, Mask]) -> frozenset[str]:
+def _titles_of_blocks(table: ReadingsTable, lines: int) -> frozenset[str]:
     """Return the kinds of the titles between blocks of lines without names.
 
     Titles are those that give most whole frames, if these are not fewer than without any.
@@ -207,12 +203,11 @@ def _titles_of_blocks(table: ReadingsTable, lines: int, changes: dict[str, Mask]
 
     def whole(run: Numbers) -> int:
         """Return the number of complete frames; lines of a single group may be cut at the end."""
-        return int(np.sum(run[run % lines == 0] // lines)) if len(run) > 1 else int(run[0] // lines)
+        return int(np.sum(run[(run % lines == 0) | (len(run) == 1)] // lines))
 
     best = max(options, key=lambda titles: whole(runs(titles)))
     run = runs(best)
-    single = np.array([len(kinds)])
-    if len(run) == 1 or len(run) == len(kinds) or 2 * len(run) < whole(single):
+    if len(run) in (1, len(kinds)) or 2 * len(run) < len(kinds) // lines:
         return frozenset()
     if np.any(run > lines) and not whole(run):
         number = int(np.argmax(run > lines))
@@ -227,7 +222,7 @@ def _segmented(lines: Iterable[int], keys: Sequence[LineKeys], ends: FrameEnds) 
     """Yield the frames of lines with these keys."""
     segmenter = Segmenter(ends)
     for segment in (*(segmenter.feed(line, keys[line]) for line in lines), segmenter.close()):
-        if segment is not None:
+        if segment:
             yield from placed(segment, ends)
 
 
@@ -240,14 +235,12 @@ def _divided(
     """
     keys = line_keys(table, arrangement, ends)
     notes: list[str] = []
-    groups: list[Placed] = []
     parts = [range(len(keys))]
     if ends.counted and ends.lines > 1:
         parts, notes = _parts_by_readings(table, arrangement)
-    for number, part in enumerate(parts):
-        if number:
-            groups.append(Placed(parts[number - 1].stop, (), (), ""))
-        groups.extend(_segmented(part, keys, ends))
+    groups = [*_segmented(parts[0], keys, ends)]
+    for last, part in pairwise(parts):
+        groups += [Placed(last.stop, (), ()), *_segmented(part, keys, ends)]
     if ends.lines > 1:
         groups, remarks = _trimmed(table, groups, ends)
         notes = [*remarks, *notes]
@@ -279,19 +272,19 @@ def _parts_by_readings(
             "leave the lines before the first whole frame and behind the last one out "
             "(`skip_lines` leaves out those at the beginning)"
         )
-    called = table.called
+    first = table.called(parts[0].start)
     notes = [
-        f"nothing says where a frame begins: every {lines} lines from {called(parts[0].begin)} on "
+        f"nothing says where a frame begins: every {lines} lines from {first} on "
         "are taken as one; `skip_lines` leaves out lines before the first frame"
     ]
-    if parts[0].begin:
-        notes.append(f"the lines before {called(parts[0].begin)} are of a cut frame, and left out")
+    if parts[0].start:
+        notes.append(f"the lines before {first} are of a cut frame, and left out")
     notes += [
-        f"lines are lost or doubled between {called(last.end)} and {called(part.begin)}: "
-        "a frame is missing"
+        f"lines are lost or doubled between {table.called(last.stop)} and "
+        f"{table.called(part.start)}: a frame is missing"
         for last, part in pairwise(parts)
     ]
-    return [range(part.begin, part.end) for part in parts], notes
+    return parts, notes
 
 
 def _trimmed(
@@ -299,20 +292,18 @@ def _trimmed(
 ) -> tuple[list[Placed], list[str]]:
     """Return the frames without a first and a last one that are not whole, and notes on others."""
     notes: list[str] = []
-    whole = [not group.remark for group in groups]
-    if ends.gapless or not ends.ranks:
-        if len(groups) > 1 and not whole[0]:
-            notes.append(f"the first frame ({table.called(groups[0].begin)}) is cut and left out")
-            groups = groups[1:]
-        if len(groups) > 1 and groups[-1].remark:
-            notes.append(f"the last frame ({table.called(groups[-1].begin)}) is cut and left out")
-            groups = groups[:-1]
-    else:
+    if ends.ranks and not ends.gapless:
         return groups, notes
-    odd = [group for group in groups if group.remark]
-    notes += [
-        f"the frame at {table.called(group.begin)} {group.remark}" for group in odd[:MAX_REMARKS]
+    for name, at, others in (("first", 0, slice(1, None)), ("last", -1, slice(-1))):
+        if len(groups) > 1 and groups[at].remark:
+            notes.append(f"the {name} frame ({table.called(groups[at].begin)}) is cut and left out")
+            groups = groups[others]
+    odd = [
+        f"the frame at {table.called(group.begin)} {group.remark}"
+        for group in groups
+        if group.remark
     ]
+    notes += odd[:MAX_REMARKS]
     if len(odd) > MAX_REMARKS:
         notes.append(f"so have {counted(len(odd) - MAX_REMARKS, 'more frame')}")
     return groups, notes
@@ -320,17 +311,16 @@ def _trimmed(
 
 def _with_merged_keys(table: ReadingsTable, arrangement: TableLayout) -> ReadingsTable:
     """Return the table with the frame's number and time of merged cells in all their lines."""
-    fields = table.fields
-    for at in (*arrangement.times, arrangement.roles.get("frame")):
-        if at is None:
-            continue
+    keys = {*arrangement.times, arrangement.roles.get("frame")} - {None}
+    if arrangement.lines == 1 or not keys:
+        return table
+    fields = table.fields.copy()
+    for at in keys:
         empty = fields[:, at] == ""
-        if arrangement.lines == 1 or empty[0] or 2 * empty.sum() < len(empty):
-            continue
-        last = np.maximum.accumulate(np.where(empty, 0, np.arange(len(empty))))
-        fields = fields.copy()
-        fields[:, at] = fields[last, at]
-    return table if fields is table.fields else replace(table, fields=fields)
+        if not empty[0] and 2 * empty.sum() >= len(empty):
+            last = np.maximum.accumulate(np.where(empty, 0, np.arange(len(empty))))
+            fields[:, at] = fields[last, at]
+    return replace(table, fields=fields)
 
 
 def _without_doubled(table: ReadingsTable, arrangement: TableLayout) -> ReadingsTable:
@@ -365,24 +355,25 @@ def _grouped_by_name(
     """
     positions = arrangement.positions(table)
     texts = _key_texts(table, arrangement)
-    key = next((key for key in ("frame", "time") if key in texts), None)
+    key = next(iter(texts), None)
     if positions is None or key is None or (key == "time" and not arrangement.times):
         return None
     names = texts[key]
     runs = 1 + int(changes_of(names).sum())
-    distinct = dict.fromkeys(names)
-    pairs = len(set(zip(names, positions.tolist(), strict=True)))
-    if 2 * runs < 3 * len(distinct) or pairs < len(names) or 2 * len(distinct) > len(names):
+    pairs = set(zip(names, positions.tolist(), strict=True))
+    lines: dict[str, list[int]] = {name: [] for name in names}
+    if 2 * runs < 3 * len(lines) or len(pairs) < len(names) or 2 * len(lines) > len(names):
         return None
-    if key == "frame":
-        seconds = {name: seconds_of(name, comma=table.comma) for name in distinct}
-        distinct = dict.fromkeys(sorted(distinct, key=seconds.__getitem__))
-    lines: dict[str, list[int]] = {name: [] for name in distinct}
     for line, name in enumerate(names):
         if positions[line] >= 0:
             lines[name].append(line)
+    order = list(lines)
+    if key == "frame":
+        order.sort(key=lambda name: seconds_of(name, comma=table.comma))
     groups = [
-        Placed(of[0], tuple(of), tuple(positions[of].tolist()), "") for of in lines.values() if of
+        Placed(lines[name][0], tuple(lines[name]), tuple(positions[lines[name]].tolist()))
+        for name in order
+        if lines[name]
     ]
     return groups, [f"lines in no order: frames by their {key}"]
 
@@ -415,12 +406,13 @@ def _refuse_two_sources(
         if arrangement.lines == 1:
             mixed = alternate(texts)
         else:
-            by_position: dict[int, set[str]] = {}
-            for group in groups:
-                for line, position in zip(group.lines, group.positions, strict=True):
-                    by_position.setdefault(position, set()).add(texts[line])
+            pairs = {
+                (position, texts[line])
+                for group in groups
+                for line, position in zip(group.lines, group.positions, strict=True)
+            }
             several = [len({texts[line] for line in group.lines}) > 1 for group in groups]
-            follows = all(len(of_position) == 1 for of_position in by_position.values())
+            follows = len(pairs) == len({position for position, _ in pairs})
             mixed = not follows and 2 * sum(several) >= len(several)
         if mixed:
             sentence = several_sources(table.names[at], values)

@@ -54,14 +54,15 @@ class Parsed(NamedTuple):
     @classmethod
     def of(cls, fields: NDArray[Any], *, comma: bool) -> "Parsed":
         """Return the numbers of fields, with a decimal comma or a point."""
-        damaged = np.array([DAMAGED in text for text in fields.flat], dtype=bool).reshape(
-            fields.shape
-        )
         numbers = [
             np.nan if DAMAGED in text else number_of(text, comma=comma) for text in fields.flat
         ]
         values = np.array(numbers, dtype=float).reshape(fields.shape)
-        words = np.array([number is None for number in numbers], dtype=bool).reshape(fields.shape)
+        marks = [
+            [number is None for number in numbers],
+            [DAMAGED in text for text in fields.flat],
+        ]
+        words, damaged = np.array(marks, dtype=bool).reshape(2, *fields.shape)
         return cls(fields, values, words, damaged)
 
     def with_separator(self, lines: Mask) -> "Parsed":
@@ -73,17 +74,6 @@ class Parsed(NamedTuple):
                 part[line, field + 1 :] = part[line, field:-1].copy()
         return changed
 
-    def without(self, missing: Mask) -> "Parsed":
-        """Return the fields without those of some lines, (lines, 1), or some of them."""
-        if not np.any(missing):
-            return self
-        return Parsed(
-            np.where(missing, "", self.texts),
-            np.where(missing, np.nan, self.values),
-            self.words & ~missing,
-            self.damaged,
-        )
-
 
 def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTable:
     """Return the lines with readings, their header, and notes on omitted lines.
@@ -94,14 +84,13 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     """
     if source.fields.size == 0 or np.all(source.comment):
         raise InputError(f"{source.source}: holds no values")
-    comma = has_decimal_comma(
-        [text for text in source.fields[~source.comment].ravel()[:SAMPLED] if text]
-    )
+    plain = ~source.comment
+    comma = has_decimal_comma([text for text in source.fields[plain].ravel()[:SAMPLED] if text])
     parsed = Parsed.of(source.fields, comma=comma)
     alone = bool(
-        source.counts.max() <= 2 or np.median(source.counts[~source.comment]) == 1
+        source.counts.max() <= 2 or np.median(source.counts[plain]) == 1
     )  # dashes or a number alone are titles, unless most lines are such
-    often = Counter(source.counts[~source.comment].tolist())
+    often = Counter(source.counts[plain].tolist())
     data = _data_lines(source, parsed, often.most_common(1)[0][0], alone=alone)
     # the most frequent number of fields, of equally frequent ones the largest
     often = Counter(source.counts[data].tolist())
@@ -120,6 +109,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     if header is None:
         first = int(np.argmax(data & complete))  # a terminal opened in the middle of a line
     else:
+        data &= ~np.all(fields == fields[header], axis=1)
         # The header may widen the table.
         named = np.flatnonzero(fields[header] != "")
         width = max(width, min(usual, 1 + int(named.max(initial=-1))))
@@ -130,7 +120,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         else:
             above = ", with the names of the line above" if has_units_line else ""
             note = f"{source.called(header)} taken as header{above}"
-    if not np.any(data & ~np.all(fields == fields[header], axis=1) if header is not None else data):
+    if not np.any(data):
         raise InputError(f"{source.source}: holds a header but no values")
     table = lines_of_form(form, source, parsed, first)
     notation = ", ".join((*source.notes, *(["decimal commas"] if comma else [])))
@@ -172,8 +162,8 @@ def lines_of_form(
     damaged = parsed.damaged.any(axis=1)
     data &= ~damaged | complete | separated
     header = np.array([*form.header, *[""] * (fields.shape[1] - len(form.header))])
-    titles = np.all(fields == header, axis=1) if form.header else np.zeros(len(data), dtype=bool)
-    data &= ~titles  # a restarted board repeats the header
+    titles = np.all(fields == header, axis=1)  # a restarted board repeats the header
+    data &= ~titles
     filled = np.arange(fields.shape[1]) < source.counts[:, None]
     long = data & np.any(filled[:, form.width :] & (fields[:, form.width :] != ""), axis=1)
     # Only the empty fields at the end may be left out.
@@ -182,11 +172,11 @@ def lines_of_form(
     if since is not None and long.sum() > MAX_CUT * data.sum():
         raise _mismatch(source, int(np.argmax(long)), int(np.argmax(data & ~long)), form.width)
     doubtful = short | long
-    parsed = parsed.without(doubtful[:, None])
     excluded = ~data & ~titles & ~source.comment & np.any(fields != "", axis=1)
     excluded &= np.array([line.number > 0 for line in source.lines], dtype=bool)
     broken = _broken_fields(fields, source.counts, data & ~doubtful, excluded | short)
-    parsed = parsed.without(broken)
+    missing = broken | doubtful[:, None]
+    values = np.where(missing, np.nan, parsed.values)
     parted = np.any(broken, axis=1)
     unequal = f"lines that have not {counted(form.width, 'field')}: the readings {{}} missing"
     notes = (
@@ -199,14 +189,14 @@ def lines_of_form(
         source=source,
         lines=np.arange(len(data)),
         columns=np.arange(fields.shape[1]),
-        fields=parsed.texts,
-        values=parsed.values,
-        words=parsed.words,
+        fields=np.where(missing, "", fields),
+        values=values,
+        words=parsed.words & ~missing,
         comma=form.comma,
         names=("",) * fields.shape[1],
         notes=tuple(filter(None, notes)),
         form=form,
-        numbers=parsed.values,
+        numbers=values,
     )
     return replace(table.only(data, slice(form.width)), names=form.names)
 
@@ -226,12 +216,11 @@ def _laid_out(table: ReadingsTable, layout: str) -> ReadingsTable:
             f"{table.source.source}: {table.width} columns, but `layout` names {len(names)}{single}"
         )
     table = replace(table, names=tuple(names))
-    skipped = [field for field, name in enumerate(names) if name == "-"]
+    skipped = [field for field, name in enumerate(names, 1) if name == "-"]
     if not skipped:
         return table
-    note = f"fields {first_and_more([field + 1 for field in skipped])} left out, as `layout` says"
-    named = [field for field in range(table.width) if field not in skipped]
-    return table.only(columns=named).with_notes(note)
+    note = f"fields {first_and_more(skipped)} left out, as `layout` says"
+    return table.only(columns=[name != "-" for name in names]).with_notes(note)
 
 
 def _broken_fields(fields: NDArray[Any], counts: Numbers, whole: Mask, others: Mask) -> Mask:
@@ -269,15 +258,17 @@ def _line_note(source: FieldLines, lines: Mask, sentence: str) -> str:
 
 def _excluded_note(source: FieldLines, fields: NDArray[Any], excluded: Mask) -> str:
     """Return the sentence on lines that are left out, (lines,); '' without any."""
-    lines = np.flatnonzero(excluded)
-    if not len(lines):
+    lines = np.flatnonzero(excluded).tolist()
+    if not lines:
         return ""
     shown = " ".join(fields[lines[0]]).strip()[:40]
-    named = first_and_more([source.lines[line].number for line in lines.tolist()])
-    called = f"line {named} ({shown!r})"
-    if len(lines) > 1:
-        called = f"lines {named} (the first: {shown!r})"
-    return f"left out: {called.replace('line', source.word)}, no readings or cut off"
+    named = first_and_more([source.lines[line].number for line in lines])
+    called = (
+        f"{source.word}s {named} (the first: {shown!r})"
+        if len(lines) > 1
+        else f"{source.word} {named} ({shown!r})"
+    )
+    return f"left out: {called}, no readings or cut off"
 
 
 def _names(fields: NDArray[Any], header: int) -> tuple[list[str], bool]:
@@ -337,13 +328,13 @@ def _header_line(fields: NDArray[Any], data: Mask, width: int, first_number: int
         return first  # pandas names columns by numbers
     if _names_fields(fields[first]):
         return first
-    names: list[int] = np.flatnonzero(fields[first - 1] != "").tolist() if first else []
-    complete = width > 1 and len(names) >= width - 1 and names[-1] >= width - 1
-    texts = [text for text in fields[first - 1] if text]
-    named = all(number_of(text, comma=False) is None for text in texts) or _names_fields(
-        fields[first - 1]
-    )
-    return first - 1 if complete and named else None
+    if not first or width < 2:
+        return None
+    above = fields[first - 1]
+    names = np.flatnonzero(above != "")
+    complete = len(names) >= width - 1 and names[-1] >= width - 1
+    words = all(number_of(text, comma=False) is None for text in above if text)
+    return first - 1 if complete and (words or _names_fields(above)) else None
 
 
 def _names_fields(texts: Sequence[str]) -> bool:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from lampest.apps.foreign.arrays import (
     MAX_BYTES,
     READERS,
+    Arrays,
     Frames,
     Layout,
     Shape,
@@ -23,11 +25,10 @@ from lampest.apps.foreign.arrays import (
 from lampest.apps.foreign.clocks import Clock
 from lampest.apps.foreign.division import frames_of
 from lampest.apps.foreign.form import readings_table
-from lampest.apps.foreign.labelled import named_units, panel_of
 from lampest.apps.foreign.lines import FieldLines, lines_of_sheets, lines_of_text
 from lampest.apps.foreign.own_layouts import LAYOUTS
 from lampest.apps.foreign.records import READERS as RECORDS
-from lampest.apps.foreign.records import records_of
+from lampest.apps.foreign.records import panel_of, records_of
 from lampest.apps.foreign.unit import understood_unit
 from lampest.files.errors import InputError, counted, first_and_more, meant, printable
 from lampest.files.typed import installed, typed
@@ -138,12 +139,11 @@ def import_file(  # noqa: PLR0913 # the options of a command
     layout = _layout_of(path, layout)
     if skip_lines < 0:
         raise InputError(f"`skip_lines` is {skip_lines}; it must be 0 or more")
-    chosen = Chosen(variable, layout, skip_lines)
-    frames = _frames(path, panel, chosen, transpose=transpose)
+    frames = _frames(path, panel, Chosen(variable, layout, skip_lines), transpose=transpose)
     subtracted = None
     if resting is not None:
         file = Path(resting)
-        subtracted = (file, _frames(file, panel, Chosen(None, layout, 0), transpose=False))
+        subtracted = (file, _frames(file, panel, Chosen(None, layout, 0)))
     return _recording(
         path, frames, panel, scene, unit, baseline_frames, missing, period, time_unit, subtracted
     )
@@ -184,14 +184,14 @@ def _recording(  # noqa: PLR0913 # the options of an import
     scene: Scene | None,
     unit: str | None,
     baseline_frames: int,
-    missing: str = "mark",
-    period: float | None = None,
-    time_unit: Literal["s", "ms", "us"] | None = None,
-    resting: tuple[Path, Frames] | None = None,
+    missing: str,
+    period: float | None,
+    time_unit: str | None,
+    resting: tuple[Path, Frames] | None,
 ) -> tuple[Recording, tuple[str, ...]]:
     """Return frames as a recording in the scene's unit, and the notes; see `import_file`."""
     values = frames.values
-    count = len(frames.values)
+    count = len(values)
     values[~panel.present & ~(values > 0)] = np.nan
     if not 0 <= baseline_frames <= count:
         raise InputError(
@@ -203,30 +203,26 @@ def _recording(  # noqa: PLR0913 # the options of an import
         for frame, row, column in np.argwhere(np.isnan(values) & panel.present).tolist():
             place = frames.place(frame, row, column)
             raise InputError(f"{place}: the reading of row {row}, column {column} is missing")
-    kind = unit
-    reason = f"unit {unit}, as specified"
-    if kind is None:
-        kind, reason = understood_unit(values, named_units(frames.words, path), scene, path)
-    scene_specified = scene is not None
+    unit, reason = understood_unit(values, unit, frames.words, scene, path)
+    source = "by the scene" if scene else "assumed; a scene says otherwise"
     scene = scene or Scene(panel)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     if resting is not None or scene.baseline == "subtracted":
         values, scene = _restored(values, scene, role, resting, path)
     elif scene.baseline is None:
-        _check_unprocessed(values, kind, scene, role, path)
-    recorded = recorded_values(values, kind, scene, frames.place, path)
-    chosen, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
-    series = recorded[chosen]
-    time = clock.seconds[chosen]
-    recording = Recording(scene, series, time, role[chosen], name=path.stem, start_time=clock.start)
-    notes = (
-        *frames.notes,
-        reason,
-        clock.sentence,
-        _assumed(scene, specified=scene_specified),
-        gaps,
-        *_summary(recording),
+        _check_unprocessed(values, unit, scene, role, path)
+    recorded = recorded_values(values, unit, scene, frames.place, path)
+    kept, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
+    recording = Recording(
+        scene,
+        recorded[kept],
+        clock.seconds[kept],
+        role[kept],
+        name=path.stem,
+        start_time=clock.start,
     )
+    assumed = _assumed(scene, source)
+    notes = (*frames.notes, reason, clock.sentence, assumed, gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
 
 
@@ -276,53 +272,48 @@ def _restored(
     if not np.all(np.isfinite(frame[scene.panel.present])):
         raise InputError(f"{file}: the resting frame has no value at a cell")
     raw = restored(values, frame)
-    if not np.any(role == UNLOADED):
+    unloaded = role == UNLOADED
+    if not np.any(unloaded):
         raise InputError(
             f"{path}: say how many frames at the beginning are unloaded (--baseline); "
             "the resting frame is theirs"
         )
-    raw[role == UNLOADED] = frame
+    raw[unloaded] = frame
     return raw, replace(scene, baseline="raw")
 
 
-def _frames(path: Path, panel: Panel, chosen: Chosen, *, transpose: bool) -> Frames:
+def _frames(path: Path, panel: Panel, chosen: Chosen, *, transpose: bool = False) -> Frames:
     """Return the file's frames over the panel, or with one value for each listed cell."""
+    read = partial(_read_frames, path, chosen=chosen)
+    turned = panel.shape[::-1]
+    if transpose:
+        frames = read(turned)
+        return frames.arranged(
+            frames.number.swapaxes(1, 2), "transposed: the file's rows are the panel's columns"
+        )
     try:
-        frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, chosen)
+        frames = read(panel.shape)
     except InputError as error:
         cells = [cell[:2] for cell in panel.cells or ()]
-        if cells and not transpose:
+        if cells:
             with suppress(InputError):
-                frames = _read_frames(path, (1, len(cells)), chosen)
+                frames = read((1, len(cells)))
                 number = np.full((len(frames.number), *panel.shape), -1)
                 number[:, *np.transpose(cells)] = frames.number[:, 0]
                 note = f"{len(cells)} values are the cells in the order of the scene's list"
                 return frames.arranged(number, note)
-        if not transpose and _fits_turned(path, panel.shape[::-1], chosen):
+        fits_turned = False
+        with suppress(InputError):  # frames with their times
+            _clock(read(turned), None, None, path)
+            fits_turned = turned != panel.shape
+        if fits_turned:
             raise InputError(f"{error}; with `transpose` it would fit") from error
         raise
     modules = panel.modules
-    if modules is not None and frames.parts == modules.count and not transpose:
+    if modules is not None and frames.parts == modules.count:
         number = modules.of_parts(frames.number)
         return frames.arranged(number, f"{frames.parts} parts of a line are the modules")
-    if transpose:
-        return frames.arranged(
-            frames.number.swapaxes(1, 2), "transposed: the file's rows are the panel's columns"
-        )
     return frames
-
-
-def _fits_turned(path: Path, shape: Shape, chosen: Chosen) -> bool:
-    """Return whether a file gives frames of a panel with rows and columns exchanged.
-
-    The frames are with their times.
-    """
-    try:
-        frames = _read_frames(path, shape, chosen)
-        _clock(frames, None, None, path)
-    except InputError:
-        return False
-    return shape[0] != shape[1]
 
 
 def _read_frames(path: Path, shape: Shape, chosen: Chosen) -> Frames:
@@ -351,18 +342,21 @@ def _read_frames(path: Path, shape: Shape, chosen: Chosen) -> Frames:
             raise InputError(f"{path}: has no lines of text; `skip_lines` is for text tables")
         if layout is not None and kind in READERS:
             raise InputError(f"{path}: holds arrays; `layout` is for tables")
-        if kind in READERS:
-            return frames_of_arrays(path, arrays_of(path), shape, variable)
-        if kind in RECORDS:
-            records, notes = records_of(path)
-            if isinstance(records, FieldLines):
-                frames = frames_of(readings_table(records, layout), shape)
-            else:
-                frames = frames_of_arrays(path, records, shape, variable)
-            return replace(frames, notes=(*frames.notes, *notes))
+        notes: tuple[str, ...] = ()
+        content: Arrays | FieldLines
         if kind in SHEETS:
             return _of_sheets(path, shape, variable, layout)
-        return frames_of(readings_table(lines_of_text(path, skip), layout), shape)
+        if kind in READERS:
+            content = arrays_of(path)
+        elif kind in RECORDS:
+            content, notes = records_of(path)
+        else:
+            content = lines_of_text(path, skip)
+        if isinstance(content, FieldLines):
+            frames = frames_of(readings_table(content, layout), shape)
+        else:
+            frames = frames_of_arrays(path, content, shape, variable)
+        return replace(frames, notes=(*frames.notes, *notes))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
@@ -372,13 +366,16 @@ def _read_frames(path: Path, shape: Shape, chosen: Chosen) -> Frames:
 def _of_folder(path: Path, shape: Shape, chosen: Chosen) -> Frames:
     """Return the frames of all files in a folder, in the order of the numbers in their names."""
     # Hidden files, and those of a desktop that shows the folder, are none of the recording's.
-    files = [
-        file
-        for file in path.iterdir()
-        if file.is_file()
-        and not (file.name.startswith(".") or file.name.lower() in ("thumbs.db", "desktop.ini"))
-    ]
-    files.sort(key=lambda file: [part.zfill(20) for part in re.split(r"(\d+)", file.name)])
+    files = sorted(
+        (
+            file
+            for file in path.iterdir()
+            if file.is_file()
+            and not file.name.startswith(".")
+            and file.name.lower() not in ("thumbs.db", "desktop.ini")
+        ),
+        key=lambda file: [part.zfill(20) for part in re.split(r"(\d+)", file.name)],
+    )
     if not files:
         raise InputError(f"{path}: no file in this folder")
     kinds = sorted({file.suffix.lower() or "no suffix" for file in files})
@@ -390,51 +387,46 @@ def _of_folder(path: Path, shape: Shape, chosen: Chosen) -> Frames:
         raise InputError(f"{path}: {len(files)} files, more than {MAX_FILES} are not imported")
     if sum(file.stat().st_size for file in files) > MAX_BYTES:
         raise InputError(f"{path}: more than {MAX_BYTES} bytes are not imported")
+    names = [file.name for file in files]
     parts = [_read_frames(file, shape, chosen) for file in files]
     total = sum(len(part.number) for part in parts)
     unused = "; times within them are not used" if any(part.timing for part in parts) else ""
-    order = f"in the order of their names, from {files[0].name} to {files[-1].name}"
+    order = f"in the order of their names, from {names[0]} to {names[-1]}"
     note = f"{counted(total, 'frame')} of {counted(len(files), 'file')}, {order}{unused}"
-    return joined_frames(parts, [file.name for file in files], str(path), note)
+    return joined_frames(parts, names, str(path), note)
 
 
 def _of_sheets(path: Path, shape: Shape, sheet: str | None, layout: str | None) -> Frames:
     """Return the frames of the only sheet that fits; if none fits, raise the error of the first."""
     fitting: dict[str, Frames] = {}
-    wrong = [InputError(f"{path}: holds no values")]
+    wrong: InputError | None = None
     for title, lines in lines_of_sheets(path, sheet).items():
         try:
             fitting[title] = frames_of(readings_table(lines, layout), shape)
         except InputError as error:
-            wrong.append(error)
+            wrong = wrong or error
     if len(fitting) > 1:
         raise InputError(
             f"{path}: the sheets {', '.join(fitting)} would all fit; say which with `variable`"
         )
     if not fitting:
-        raise wrong[min(1, len(wrong) - 1)]
+        raise wrong or InputError(f"{path}: holds no values")
     return next(iter(fitting.values()))
 
 
 def _clock(frames: Frames, period: float | None, unit: str | None, path: Path) -> Clock:
     """Return the times of frames: by a period, from the file, or one frame a second."""
-    number = np.arange(len(frames.number), dtype=float)
+    sentence = "no time in the file: one frame a second is assumed; `period` says otherwise"
     if period is not None:
-        if not 0 < period < float("inf"):
+        if not 0 < period < np.inf:
             raise InputError("the period must be positive and finite")
-        unused = "; those of the file are not used" if frames.timing is not None else ""
-        return Clock(
-            number * period, None, f"time: a frame every {period:g} s, as specified{unused}"
-        )
-    if frames.timing is None and unit is not None:
+        unused = "; those of the file are not used" if frames.timing else ""
+        sentence = f"time: a frame every {period:g} s, as specified{unused}"
+    elif frames.timing:
+        return frames.timing(unit)
+    elif unit is not None:
         raise InputError(f"{path}: holds no times that could be in {unit}; `period` sets them")
-    if frames.timing is None:
-        return Clock(
-            number,
-            None,
-            "no time in the file: one frame a second is assumed; `period` says otherwise",
-        )
-    return frames.timing(unit)
+    return Clock(np.arange(len(frames.number)) * (period or 1.0), None, sentence)
 
 
 def _without_missing(blank: Mask, missing: str, path: Path) -> tuple[Mask, str]:
@@ -460,12 +452,14 @@ def _without_missing(blank: Mask, missing: str, path: Path) -> tuple[Mask, str]:
     return ~gaps, f"{note}: these frames are left out"
 
 
-def _assumed(scene: Scene, *, specified: bool) -> str:
-    """Return a note on the numbers of the scene that affect the recording, and on assumed ones."""
+def _assumed(scene: Scene, source: str) -> str:
+    """Return a note on the numbers of the scene that affect the recording, and on assumed ones.
+
+    `source` says where the former are from.
+    """
     series = f"series resistance {scene.series_text}" if scene.circuit.unit == "ohm" else ""
     pitch = "" if "panel.pitch_mm" in scene.assumed else f"pitch {scene.panel.pitch_mm:g} mm"
     values = " and ".join(filter(None, (series, pitch)))
-    source = "by the scene" if specified else "assumed; a scene says otherwise"
     origin = values and f"{values}, {source}"
     assumed = scene.assumed_text and f"{scene.assumed_text} assumed: the scene does not say"
     return "; ".join(filter(None, (origin, assumed)))
@@ -479,14 +473,10 @@ def _summary(recording: Recording) -> Iterator[str]:
     scene = recording.scene
     recorded = recording.recorded
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
-    beyond = int(
-        np.sum((recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded))
-    )
-    if beyond:
-        rail = (
-            "zero or infinite" if scene.readout is None else "at or beyond a rail of the converter"
-        )
-        yield f"{counted(beyond, 'reading')} {rail}: kept as bounds"
+    rail = "zero or infinite" if scene.readout is None else "at or beyond a rail of the converter"
+    at_rail = (recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded)
+    if np.any(at_rail):
+        yield f"{counted(int(np.sum(at_rail)), 'reading')} {rail}: kept as bounds"
     cells = " × ".join(map(str, scene.panel.shape))
     unloaded = int(np.sum(recording.role == UNLOADED))
     yield f"{counted(len(recorded), 'frame')} of {cells} cells, the first {unloaded} unloaded"

@@ -87,17 +87,21 @@ def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, TableLa
     Raises InputError if these do not determine the layout, or if the table does not fit the panel.
     """
     table = with_one_clock(table)
-    if _begins_with_a_separator(table, shape):
+    cells = shape[0] * shape[1]
+    # A program that prints a tab before each value leaves an empty first field.
+    if (
+        table.width not in (1, cells, shape[1])
+        and not table.names[0]
+        and np.all(table.fields[:, :2] == "", axis=0).tolist() == [True, False]
+    ):
         note = "a separator before the first value of every line"
-        shorter = table.only(columns=list(range(1, table.width)))
-        return arranged(shorter.with_notes(note), shape)
+        return arranged(table.only(columns=slice(1, None)).with_notes(note), shape)
     # One value a line; else one frame a line; else one row a line; else again without empty
     # columns.
     order = _single_values(table, shape)
     if order is not None:
         return table, _values_in_lines(table, shape, order)
     table = described(table, shape)
-    cells = shape[0] * shape[1]
     names = table.names
     if table.width == 1 and shape[1] > 1 and len(table.lines) >= cells:
         note = f"one number a line, {cells} lines a frame; row by row"
@@ -113,9 +117,8 @@ def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, TableLa
     filled = np.any(table.fields != "", axis=0)
     if not np.all(filled):
         empty = ", ".join(names[at] or f"field {at + 1}" for at in np.flatnonzero(~filled))
-        shorter = table.only(columns=np.flatnonzero(filled))
         note = f"empty columns left out: {empty}"
-        return arranged(shorter.with_notes(note), shape)
+        return arranged(table.only(columns=filled).with_notes(note), shape)
     panels = table.width // cells
     several = f"they may be {panels} panels, which a scene with `modules` reads as one image; "
     raise InputError(
@@ -127,45 +130,33 @@ def arranged(table: ReadingsTable, shape: Shape) -> tuple[ReadingsTable, TableLa
     )
 
 
-def _begins_with_a_separator(table: ReadingsTable, shape: Shape) -> bool:
-    """Return whether the first field of every line is empty and no reading of the panel.
-
-    A program that prints a tab before each value leaves such a field.
-    """
-    if table.width in (1, shape[0] * shape[1], shape[1]) or table.names[0]:
-        return False
-    empty = np.all(table.fields[:, :2] == "", axis=0)
-    return bool(empty[0] and not empty[1])
-
-
 def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
     """Return (row, column) of the cells in the names of columns, by column, and a sentence.
 
     The result is None without such names.
     """
-    named: dict[int, tuple[int, int]] = {}
-    for field, name in enumerate(names):
-        cell = cell_of(name)
-        if cell is not None and not role_of(name):
-            named[field] = cell
-    if not named:
+    named = {field: cell_of(name) for field, name in enumerate(names) if not role_of(name)}
+    places = {field: cell for field, cell in named.items() if cell is not None}
+    if not places:
         return None
-    first = min(1, *map(min, named.values()))
-    cells = {field: (row - first, column - first) for field, (row, column) in named.items()}
+    first = min(1, *map(min, places.values()))
     fields: dict[tuple[int, int], int] = {}
-    for field, (row, column) in cells.items():
-        if fields.setdefault((row, column), field) != field:
-            headers = f"{names[fields[row, column]]!r} and {names[field]!r}"
+    for field, (row, column) in places.items():
+        same = fields.setdefault((row - first, column - first), field)
+        if same != field:
+            headers = f"{names[same]!r} and {names[field]!r}"
             raise InputError(f"{source}: the header's {headers} are the same cell")
-        if row >= shape[0] or column >= shape[1]:
+        if row - first >= shape[0] or column - first >= shape[1]:
             sizes = f"{shape[0]} × {shape[1]} cells, counted from {first}"
             raise InputError(
                 f"{source}: the header's {names[field]!r} is beyond the panel of {sizes}"
             )
-    example = f"{names[min(named)]!r} is row {cells[min(named)][0]}, column {cells[min(named)][1]}"
+    cells = {field: cell for cell, field in fields.items()}
+    row, column = next(iter(fields))
+    example = f"{names[next(iter(cells))]!r} is row {row}, column {column}"
     unnamed = shape[0] * shape[1] - len(cells)
     gap = f"; {counted(unnamed, 'cell')} without a column, missing" if unnamed else ""
-    order = ", row by row" if list(cells.values()) == sorted(cells.values()) else ""
+    order = ", row by row" if list(fields) == sorted(fields) else ""
     return cells, f"cells by their names{order}, which count from {first} ({example}){gap}"
 
 
@@ -174,18 +165,14 @@ def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | 
 
     A sentence is returned with the cells.
     """
-    lines: dict[int, tuple[str, int]] = {}
-    for field, name in enumerate(names):
-        line = line_of(name)
-        if line is not None and not role_of(name):
-            lines[field] = line
+    named = {field: line_of(name) for field, name in enumerate(names) if not role_of(name)}
+    lines = {field: line for field, line in named.items() if line is not None}
     first = min((number for _, number in lines.values()), default=0)
     one_word = len({word for word, _ in lines.values()}) == 1
-    ways = {
-        "row by row": (shape[1], (0, 1)),
-        "a digit for the row and one for the column": (10, (0, 11)),
-    }
-    for way, (base, firsts) in ways.items():
+    for way, base, firsts in (
+        ("row by row", shape[1], (0, 1)),
+        ("a digit for the row and one for the column", 10, (0, 11)),
+    ):
         cells = {field: divmod(number - first, base) for field, (_, number) in lines.items()}
         if one_word and first in firsts and sorted(cells.values()) == list(np.ndindex(shape)):
             return cells, f"cells by their numbers from {first}, {way}"
@@ -220,15 +207,16 @@ def _frames_in_lines(
             else ""
         )
         named = dict(zip(values, np.ndindex(shape), strict=True)), f"cells row by row{unknown}"
-    unused = [names[at] for at in range(table.width) if at not in named[0] and at not in times]
-    omitted = (
-        f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}"
-        if unused
-        else ""
-    )
-    note = f"one frame a line, {named[1]}{omitted}"
+    places, how = named
+    unused = [
+        name or "a column without a name"
+        for at, name in enumerate(names)
+        if at not in places and at not in times
+    ]
+    omitted = f"; left out: {', '.join(unused[:5])}" if unused else ""
     frame = {"frame": roles.index("frame")} if "frame" in roles else {}
-    return TableLayout(shape, 1, named[0], note, frame, tuple(times))
+    note = f"one frame a line, {how}{omitted}"
+    return TableLayout(shape, 1, places, note, frame, tuple(times))
 
 
 def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
@@ -248,8 +236,7 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         return order if "value" in order and has_place else None
     if table.width == 2 and shape[1] > 2:
         numbers = table.values[:, 0]
-        first = numbers[0]
-        counts = first in (0, 1) and numbers.max() - first == cells - 1
+        counts = numbers[0] in (0, 1) and numbers.max() - numbers[0] == cells - 1
         if counts and np.all(numbers == np.round(numbers)):
             return {"cell": 0, "value": 1}
     if table.width not in (3, 4) or table.width in (cells, cells + 1):
@@ -361,18 +348,17 @@ def _rows_in_lines(table: ReadingsTable, shape: Shape) -> TableLayout:
     given = [role_of(name) for name in table.names[:extra]]
     times = [at for at, role in enumerate(given) if role in ("time", "date")]
     roles = {"frame": given.index("frame")} if "frame" in given else {}
-    labelled = [at for at, role in enumerate(given) if role == "row"]
-    labelled = labelled or [
-        at for at, role in enumerate(given) if role not in ("time", "date", "frame")
-    ]
+    others = [at for at, role in enumerate(given) if role not in ("time", "date", "frame")]
+    others = [at for at in others if given[at] == "row"] or others
     first = 0
-    if labelled:
-        numbers = table.line_numbers(labelled[-1])
+    if others:
+        labelled = others[-1]
+        numbers = table.line_numbers(labelled)
         if not any(table.names) and np.nanmax(numbers, initial=0.0) > shape[0]:
-            times = [labelled[-1]]
+            times = [labelled]
         else:
-            roles["row"] = labelled[-1]
-            first = _first_of_rows(table, labelled[-1], shape[0])
+            roles["row"] = labelled
+            first = _first_of_rows(table, labelled, shape[0])
     columns, order = _column_order(table, extra, shape[1])
     cells = {extra + at: (0, column) for at, column in enumerate(columns)}
     named = "rows by their names" if "row" in roles else "rows from top to bottom"
@@ -388,7 +374,7 @@ def _first_of_rows(table: ReadingsTable, column: int, rows: int) -> int:
     texts = table.fields[:, column]
     lines = [line_of(text) or ("", -1) for text in texts]
     numbers = np.array([number for _, number in lines])
-    first = 0 if np.any(numbers == 0) else 1
+    first = int(not np.any(numbers == 0))
     bad = (numbers < first) | (numbers - first >= rows)
     if np.sum(bad & (texts != "")) > MAX_CUT * len(bad):
         table.refuse(bad, column, f"{{0!r}} is none of the panel's {rows} rows")
@@ -405,13 +391,12 @@ def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[
     names = table.names[extra:]
     lines = list(filter(None, map(line_of, names)))
     numbers = [number for _, number in lines]
-    from_zero = list(range(columns))
-    from_one = list(range(1, columns + 1))
-    if len(names) != columns or sorted(numbers) not in (from_zero, from_one):
+    first = min(numbers, default=0)
+    order = [number - first for number in numbers]
+    if first > 1 or sorted(order) != list(range(columns)) or len(names) != columns:
         return list(range(columns)), "columns from left to right"
     if any(re.fullmatch(ROW, word) for word, _ in lines):
         raise InputError(
             f"{table.source.source}: the header's {names[0]!r} names a row; `transpose` swaps"
         )
-    first = min(numbers)
-    return [number - first for number in numbers], f"columns by their names from {first}"
+    return order, f"columns by their names from {first}"

@@ -116,16 +116,12 @@ class LineReader:
             ...
 
     `words` are the names of columns, which may contain the unit of the numbers:
-    `understood_unit(values, named_units(reader.words, source), scene, source)` decides it.
+    `understood_unit(values, None, reader.words, scene, source)` decides it.
 
     Parameters
     ----------
     shape : tuple of int
         Rows and columns of the panel.
-    layout : str or None
-        Names of the columns as in a header; see `import_file`.
-    skip_lines : int
-        Lines at the beginning that are no readings: a greeting.
     source : str
         Name of the port for messages.
     modules : Modules or None
@@ -142,18 +138,10 @@ class LineReader:
     """
 
     def __init__(
-        self,
-        shape: Shape,
-        *,
-        layout: str | None = None,
-        skip_lines: int = 0,
-        source: str = "port",
-        modules: Modules | None = None,
+        self, shape: Shape, *, source: str = "port", modules: Modules | None = None
     ) -> None:
         self._shape = shape
         self._modules = modules  # None once a line is known to have other parts
-        self._layout = layout
-        self._skip = skip_lines
         self._source = source
         self._count = 0  # of lines
         self._kept: list[str] = []  # before the layout is understood, then titles between readings
@@ -178,9 +166,8 @@ class LineReader:
 
         Raises InputError if the layout is not understood after MAX_LINES lines.
         """
-        skipped = min(max(self._skip - self._count, 0), len(lines))
         self._count += len(lines)
-        self._kept += lines[skipped:]
+        self._kept += lines
         if self._understanding is None:
             return self._frames_at_last() if len(self._kept) >= self._next_try else ()
         return tuple(self._frames_of_lines(self._understanding))
@@ -190,7 +177,7 @@ class LineReader:
         early = () if self._understanding else self._frames_at_last(ended=True)
         known = self._understanding
         segment = self._segmenter.close()
-        if known is None or segment is None or len(segment.lines) < known.ends.lines:
+        if known is None or len(segment) < known.ends.lines:
             return early
         return (*early, *self._frames_of(known, segment))
 
@@ -200,8 +187,7 @@ class LineReader:
         try:
             notation = notation_of(self._kept)
             lines = field_lines_in(notation, self._kept, self._source)
-            raw = readings_table(lines, self._layout)
-            table, arrangement = arranged(raw, self._shape)
+            table, arrangement = arranged(readings_table(lines), self._shape)
             table.refuse_words(arrangement.cells, MAX_WORDS)
             ends = learned_ends(table, arrangement)
             refuse_several_boards(table, arrangement, ends)
@@ -211,16 +197,16 @@ class LineReader:
                 raise
             return ()
         # A lost line among few may hide that a pause, a time or a title ends frames.
-        counted = ends.counted and ends.lines > 1
-        least = 1 if ended else MIN_COUNTED if counted else MIN_FRAMES
-        if len(table.lines) < (least + 1) * ends.lines:
+        least = MIN_COUNTED if ends.counted and ends.lines > 1 else MIN_FRAMES
+        if len(table.lines) < (1 if ended else least) * ends.lines + ends.lines:
             return ()
         self.refusal = ""
         parts = notation.parts if arrangement.lines == 1 else 1
-        joined = self._modules is not None and parts == self._modules.count
-        if not joined:
+        modules: tuple[str, ...] = ()
+        if self._modules is not None and parts == self._modules.count:
+            modules = (f"{parts} parts of a line are the modules",)
+        else:
             self._modules = None
-        modules = (f"{parts} parts of a line are the modules",) if joined else ()
         self.sentences = (*table.notes, arrangement.note, *modules)
         self.words = tuple(table.names)
         known = Understanding(notation, table, arrangement, ends).with_times()
@@ -238,41 +224,36 @@ class LineReader:
         if not len(table.lines):
             self._kept = self._kept[-MAX_BETWEEN:]
             return
-        numbers = [lines.lines[at].number for at in table.lines]
-        self._kept = self._kept[numbers[-1] - before :]
+        read = [lines.lines[at] for at in table.lines]
+        self._kept = self._kept[read[-1].number - before :]
         keyed = known.arrangement.used > set(known.arrangement.cells)
         all_keys = line_keys(table, known.arrangement, known.ends)
-        for row, (number, keys) in enumerate(zip(numbers, all_keys, strict=True)):
+        for row, ((number, texts, *_), keys) in enumerate(zip(read, all_keys, strict=True)):
             fields = table.fields[row].tolist()
             if keyed and fields == self._last:
                 continue  # a line that came twice, its keys included
             self._last = fields
             # A line may be broken within it, and its rest comes after the frame.
-            texts = lines.lines[table.lines[row]].texts
             length = len(texts[-1])
             if WRITTEN.fullmatch(texts[-1]) and length < self._shortest:
                 self._shortest = length
                 table.values[row, table.columns == len(texts) - 1] = np.nan
-            segment = self._segmenter.feed(number, keys)
-            if segment is not None:
-                yield from self._frames_of(known, segment)
+            yield from self._frames_of(known, self._segmenter.feed(number, keys))
             self._tables[number] = (table, row)
             if self._segmenter.complete:
-                whole = self._segmenter.close()
-                assert whole is not None
-                yield from self._frames_of(known, whole)
+                yield from self._frames_of(known, self._segmenter.close())
 
     def _frames_of(self, known: Understanding, segment: Segment) -> Iterator[TextFrame]:
         """Yield the frames of lines; the first ones may be cut, and are left out then."""
-        for group in placed(segment, known.ends):
+        for group in placed(segment, known.ends) if segment else ():
             values = self._values(known.arrangement, group)
             title = self._first and np.all(np.isnan(values))  # a greeting with separators
             cut = self._first and group.remark
             self._first = bool(title)
             if not title and not cut:
                 yield self._frame(known, group, values)
-        for line in segment.lines:
-            self._tables.pop(line, None)
+        for line, _ in segment:
+            del self._tables[line]
 
     def _values(self, arrangement: TableLayout, group: Placed) -> Array:
         """Return the readings of lines at their places."""

@@ -134,19 +134,19 @@ def field_lines(
     width = 0
     for line in lines:
         read.append(line)
-        total = total + len(line.texts)
+        total += len(line.texts)
         width = max(width, len(line.texts))
         if max(total, len(read) * width // 2) > MAX_FIELDS:
             raise InputError(
                 f"{at(line.number, None)}: more than {MAX_FIELDS} fields are not imported"
             )
     fields = np.full((len(read), width), "", dtype=object)
-    for number, line in enumerate(read):
-        fields[number, : len(line.texts)] = line.texts
+    for row, line in zip(fields, read, strict=True):
+        row[: len(line.texts)] = line.texts
     counts = np.array([len(line.texts) for line in read], dtype=np.intp)
     comment = np.array([COMMENT.match(line.texts[0]) is not None for line in read], dtype=bool)
-    blank = np.diff(np.array([before, *(line.number for line in read)])) > 1
-    blank |= np.array([line.apart for line in read], dtype=bool)
+    apart = np.array([line.apart for line in read], dtype=bool)
+    blank = apart | (np.diff([before, *(line.number for line in read)]) > 1)
     return FieldLines(source, word, at, tuple(notes), read, fields, counts, comment, blank)
 
 
@@ -163,19 +163,20 @@ def lines_of_text(path: Path, skip: int = 0) -> FieldLines:
     text, notes = _decoded(path)
     texts = re.split(r"\r\n|\r|\n", text)
     notation = notation_of(texts[skip:])
-    remarks = [notation.sentence, *notes]
-    remarks += [f"the first {counted(skip, 'line')} skipped"] if skip else []
     lines = field_lines_in(notation, texts[skip:], str(path), skip)
-    stamped = any(line.stamp for line in lines.lines)
-    remarks += ["a terminal's time before the lines"] if stamped else []
-    lines = replace(lines, notes=tuple(filter(None, remarks)), parts=notation.parts)
-    cut = _is_cut(lines) if texts[-1].strip() else _ends_in_a_cut_number(lines)
-    if len(lines.lines) < 2 or not cut:
+    if skip:
+        notes.append(f"the first {counted(skip, 'line')} skipped")
+    if any(line.stamp for line in lines.lines):
+        notes.append("a terminal's time before the lines")
+    remarks = tuple(filter(None, (notation.sentence, *notes)))
+    lines = replace(lines, notes=remarks, parts=notation.parts)
+    cut = _is_cut if texts[-1].strip() else _ends_in_a_cut_number
+    if len(lines.lines) < 2 or not cut(lines):
         return lines
     note = f"left out: line {lines.lines[-1].number}, the last one, which is cut off"
     parts = ("lines", "fields", "counts", "comment", "blank")
     whole = {name: getattr(lines, name)[:-1] for name in parts}
-    return replace(lines, notes=(*lines.notes, note), **whole)
+    return replace(lines, notes=(*remarks, note), **whole)
 
 
 def _is_cut(lines: FieldLines) -> bool:
@@ -195,9 +196,10 @@ def _is_cut(lines: FieldLines) -> bool:
 
 def _ends_in_a_cut_number(lines: FieldLines) -> bool:
     """Return whether the last number of the last line is shorter than those of all other lines."""
-    if len(lines.lines) < MIN_LINES or lines.counts[-1] != np.median(lines.counts):
+    count = lines.counts[-1]
+    if len(lines.lines) < MIN_LINES or count != np.median(lines.counts):
         return False
-    column = lines.fields[lines.counts == lines.counts[-1], lines.counts[-1] - 1]
+    column = lines.fields[lines.counts == count, count - 1]
     lengths = [len(text) for text in column if WRITTEN.fullmatch(text)]
     return bool(WRITTEN.fullmatch(column[-1])) and lengths[-1] < min(lengths[:-1], default=0)
 
@@ -256,19 +258,16 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     count = max(data.count(b"\n"), data.count(b"\r"))
     if count > MAX_FIELDS:
         raise InputError(f"{path}: {count} lines, more than {MAX_FIELDS} are not imported")
-    encoding = ""
+    encoding = "utf-8"
     if data[:2] == b"\xff\xfe" or data[1:2] == b"\0":
         encoding = "utf-16-le"
     elif data[:2] == b"\xfe\xff" or data[:1] == b"\0":
         encoding = "utf-16-be"
-    data = data[: len(data) // 2 * 2] if encoding else data
-    text = (
-        data.decode(encoding or "utf-8", errors="replace")
-        .removeprefix("\ufeff")
-        .replace("\0", DAMAGED)
-    )
+    wide = encoding != "utf-8"
+    data = data[: len(data) // 2 * 2] if wide else data
+    text = data.decode(encoding, errors="replace").removeprefix("\ufeff").replace("\0", DAMAGED)
     damaged = text.count(DAMAGED)
-    if damaged and not encoding and not data.isascii() and WINDOWS_WORDS.sub(b"", data).isascii():
+    if damaged and not wide and not data.isascii() and WINDOWS_WORDS.sub(b"", data).isascii():
         return data.decode("cp1252", errors="replace"), ["Windows-1252"]
     if damaged > max(1, MAX_DAMAGED * len(text)):
         line = text.count("\n", 0, text.index(DAMAGED)) + 1
@@ -276,7 +275,7 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
         raise InputError(
             f"{path}:{line}: no text table ({wrong}; text is read in UTF-8 and UTF-16). {READ}"
         )
-    return text, ["UTF-16"] if encoding else []
+    return text, ["UTF-16"] if wide else []
 
 
 def lines_of_sheets(path: Path, name: str | None) -> dict[str, FieldLines]:
@@ -325,7 +324,5 @@ def _text_of_cell(value: Any) -> str:
     """Return a cell as the text of a text file, with all digits of a number."""
     if isinstance(value, datetime.datetime) and value.time() == datetime.time():
         value = value.date()  # the time of day may be in the next cell
-    if value is None:
-        return ""
-    text = str(value).strip()
+    text = "" if value is None else str(value).strip()
     return text.removesuffix(".0") if isinstance(value, float) else text

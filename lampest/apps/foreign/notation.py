@@ -71,9 +71,9 @@ def stamp_and_content(line: str) -> tuple[str, str]:
     match = next(filter(None, (prefix.match(line) for prefix in PREFIXES)), None)
     if match is None:
         return "", line.strip(" ")
-    parts = match.groupdict()
+    parts = match.groupdict("")
     ms = parts.get("ms")
-    stamp = f"{int(ms) / 1000:.3f}" if ms else f"{parts['clock']}{parts.get('micro') or ''}"
+    stamp = f"{int(ms) / 1000:.3f}" if ms else f"{parts['clock']}{parts.get('micro', '')}"
     return stamp, line[match.end() :]
 
 
@@ -114,17 +114,17 @@ class Notation:
         The delimiter is the sign that gives most numbers.
         """
         sample = contents[:SAMPLED_LINES]
-        named = [values for values in map(values_beside_names, sample) if values]
+        named = [*filter(None, map(values_beside_names, sample))]
         if 2 * len(named) > len(sample):
             usual = Counter(map(tuple, named)).most_common(1)[0][0]
             often = Counter(name for line in named for name in line)
             # A name that one line alone has is a damaged one.
-            others = dict.fromkeys(
+            others = [
                 name
                 for line in named
                 for name in line
                 if "\0" not in name and often[name] > 1 and not line.keys().isdisjoint(usual)
-            )
+            ]
             names = tuple(dict.fromkeys([*usual, *others]))
             lists = _lengths(usual)
             parts = len(lists) if len(set(lists.values())) == 1 else 1
@@ -206,7 +206,7 @@ def values_beside_names(content: str) -> dict[str, str] | None:
             return None
         if not isinstance(record, dict):
             return None
-        return dict(_flat("", ({"topic": topic[1]} if topic else {}) | record))
+        return dict(_flat(({"topic": topic[1]} if topic else {}) | record))
     if content.startswith(">"):
         match = TELEPLOT.fullmatch(content)
         return match and {name: text for name, text in match.groupdict().items() if text}
@@ -219,9 +219,9 @@ def values_beside_names(content: str) -> dict[str, str] | None:
         values[pair["name"]] = pair["value"]
         end = BETWEEN_PAIRS.match(content, pair.end())
         assert end is not None
-        if end.end() == pair.end() < len(content):
-            return None
         at = end.end()
+        if at == pair.end() < len(content):
+            return None
     if len(values) == 1:
         ((name, value),) = values.items()
         return {"cell": name, "value": value} if cell_of(name) else None
@@ -238,31 +238,27 @@ def flat_names(record: dict[str, Any], above: str = "") -> Iterator[tuple[str, A
             yield path, value
 
 
-def _flat(name: str, record: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _flat(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the names and texts of a record, with one name for each value of a list."""
-    for path, value in flat_names(record, name):
-        if isinstance(value, list):
-            for number, text in enumerate(_values_of_list(value)):
-                yield f"{path}\0{number}", text
-        else:
-            yield path, _text_of_json(value)
+    for path, value in flat_names(record):
+        for number, text in enumerate(_texts(value)):
+            yield f"{path}\0{number}" if isinstance(value, list) else path, text
 
 
-def _values_of_list(values: list[Any]) -> Iterator[str]:
-    for value in values:
-        if isinstance(value, list):
-            yield from _values_of_list(value)
-        else:
-            yield _text_of_json(value)
+def _texts(value: Any) -> Iterator[str]:
+    """Yield the text of a value, or those of all values of a list and of the lists within it."""
+    if isinstance(value, list):
+        for part in value:
+            yield from _texts(part)
+    elif value is None:
+        yield ""
+    else:
+        yield value if isinstance(value, str) else json.dumps(value)
 
 
 def _lengths(names: Iterable[str]) -> Counter[str]:
     """Return the number of values of each list among names."""
     return Counter(name.partition("\0")[0] for name in names if "\0" in name)
-
-
-def _text_of_json(value: Any) -> str:
-    return "" if value is None else value if isinstance(value, str) else json.dumps(value)
 
 
 def _plain(content: str) -> str:
@@ -271,14 +267,12 @@ def _plain(content: str) -> str:
     content = content if enclosed is None else enclosed[enclosed.lastindex or 0]
     if LETTERED.fullmatch(content) and not BYTES.fullmatch(content):
         return _without_letters(content)
+    listed = LISTED.match(content) if "[" in content else None
     if BRACKETED.match(content):
         content = re.sub(r"[\[\]{}()]", " ", content)
-    elif "[" in content:
-        listed = LISTED.match(content)
-        if listed is not None:
-            sign = listed[1][-1]
-            values = re.split(r"[,;\s\[\]]+", listed[2].strip("[] "))
-            content = listed[1] + sign.join(values) + listed[3].rstrip(", ")
+    elif listed is not None:
+        values = re.split(r"[,;\s\[\]]+", listed[2].strip("[] "))
+        content = listed[1] + listed[1][-1].join(values) + listed[3].rstrip(", ")
     labelled = LABELLED.match(content)
     if labelled is None:
         return content
@@ -293,27 +287,22 @@ def _parts_of(lines: Sequence[str], delimiter: str) -> tuple[str, int]:
     Parts are about equally long: a time before the values is none.
     """
     often = Counter(sign for line in lines for sign in set(BETWEEN_ROWS.findall(line)))
-    signs = (sign for sign, count in often.items() if 2 * count > len(lines) and sign != delimiter)
-    sign = next(signs, "")
-    if not sign:
-        return "", 1
-    lengths = Counter(
-        tuple(part.count(delimiter) for part in line.strip(f" {sign}").split(sign))
-        for line in lines
-    )
-    usual = lengths.most_common(1)[0][0]
-    return sign, len(usual) if max(usual) <= 2 * min(usual) + 1 else 1
+    for sign, count in often.items():
+        if 2 * count > len(lines) and sign != delimiter:
+            lengths = Counter(
+                tuple(part.count(delimiter) for part in line.strip(f" {sign}").split(sign))
+                for line in lines
+            )
+            usual = lengths.most_common(1)[0][0]
+            return sign, len(usual) if max(usual) <= 2 * min(usual) + 1 else 1
+    return "", 1
 
 
 def _without_letters(content: str) -> str:
     """Return numbers with letters between them as fields, and rarer letters as `;`."""
-    letters = re.findall(r"[A-Za-z]+", content.strip(string.ascii_letters))
-    usual = Counter(letters).most_common(1)[0][0]
-
-    def sign(match: re.Match[str]) -> str:
-        return "," if match[0] == usual else ";"
-
-    return re.sub(r"[A-Za-z]+", sign, content.strip(string.ascii_letters))
+    content = content.strip(string.ascii_letters)
+    usual = Counter(re.findall(r"[A-Za-z]+", content)).most_common(1)[0][0]
+    return re.sub(r"[A-Za-z]+", lambda match: "," if match[0] == usual else ";", content)
 
 
 def _delimiter(lines: Sequence[str]) -> str:
@@ -331,9 +320,7 @@ def _delimiter(lines: Sequence[str]) -> str:
         ]
         comma = has_decimal_comma(fields)
         # Dashes are missing readings, or a line between frames.
-        read = sum(
-            field.strip("-") != "" and number_of(field, comma=comma) is not None for field in fields
-        )
-        return read, any(sign in line for line in sample)
+        read = [field for field in fields if number_of(field, comma=comma) is not None]
+        return sum(field.strip("-") != "" for field in read), any(sign in line for line in sample)
 
     return max(DELIMITERS, key=numbers)

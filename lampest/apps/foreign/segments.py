@@ -15,7 +15,7 @@ without any of these keys are counted.
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import groupby, pairwise
 from math import inf, nan
 from typing import NamedTuple
 
@@ -93,18 +93,8 @@ class FrameEnds:
         return None if kind == ANY else kind
 
 
-class Segment(NamedTuple):
-    """Lines of one frame.
-
-    Attributes
-    ----------
-    lines : tuple of int
-        Numbers of the lines, as they were fed.
-    keys : tuple of LineKeys
-    """
-
-    lines: tuple[int, ...]
-    keys: tuple[LineKeys, ...]
+# Lines of one frame: their numbers, as they were fed, and their keys.
+Segment = Sequence[tuple[int, LineKeys]]
 
 
 class Segmenter:
@@ -112,17 +102,15 @@ class Segmenter:
 
     def __init__(self, ends: FrameEnds) -> None:
         self.ends = ends
-        self._lines: list[int] = []
-        self._keys: list[LineKeys] = []
+        self._lines: list[tuple[int, LineKeys]] = []
         self._positions: set[int] = set()
         self._rank = -1  # of the last position
         self._shared: Hashable = None  # last known
 
-    def feed(self, line: int, keys: LineKeys) -> Segment | None:
+    def feed(self, line: int, keys: LineKeys) -> Segment:
         """Take a line, and return the lines of the frame that ended before it, if one did."""
-        ended = self.close() if self._lines and self._begins(keys) else None
-        self._lines.append(line)
-        self._keys.append(keys)
+        ended = self.close() if self._lines and self._begins(keys) else ()
+        self._lines.append((line, keys))
         self._shared = self._shared if keys.shared is None else keys.shared
         if keys.position in self.ends.ranks:
             self._positions.add(keys.position)
@@ -136,27 +124,24 @@ class Segmenter:
             return self.ends.gapless and len(self._positions) == self.ends.lines
         return self.ends.counted and len(self._lines) == self.ends.lines
 
-    def close(self) -> Segment | None:
-        """Return the lines since the last frame; None without any."""
-        segment = Segment(tuple(self._lines), tuple(self._keys)) if self._lines else None
+    def close(self) -> Segment:
+        """Return the lines since the last frame."""
+        lines = self._lines
         self._lines = []
-        self._keys = []
         self._positions = set()
         self._rank = -1
-        return segment
+        return lines
 
     def _begins(self, keys: LineKeys) -> bool:
         """Return whether a line does not continue the frame of the previous ones."""
         ends = self.ends
-        last = self._keys[-1]
+        _, last = self._lines[-1]
         changed = keys.shared is not None and keys.shared != self._shared
         if changed or keys.marked or keys.seconds - last.seconds > ends.max_step:
             return True
         if not ends.ranks:
             return ends.counted and len(self._lines) == ends.lines
-        rank = ends.ranks.get(keys.position)
-        if rank is None:  # a damaged name says nothing
-            return False
+        rank = ends.ranks.get(keys.position, inf)  # a damaged name says nothing
         return keys.position in self._positions or (rank < self._rank and not ends.shared)
 
 
@@ -176,7 +161,7 @@ class Placed(NamedTuple):
     begin: int
     lines: tuple[int, ...]
     positions: tuple[int, ...]
-    remark: str
+    remark: str = ""
 
 
 def placed(segment: Segment, ends: FrameEnds) -> Iterator[Placed]:
@@ -185,36 +170,36 @@ def placed(segment: Segment, ends: FrameEnds) -> Iterator[Placed]:
     Lines without a position take it from their number, if none is lost. Of lines with positions
     that share nothing else, one side of a gap may be of another frame: the longest side is kept.
     """
-    begin = segment.lines[0]
-    count = len(segment.lines)
+    lines = tuple(line for line, _ in segment)
+    count = len(lines)
     whole = ends.lines
     if not ends.ranks:
         if count % whole:
-            remark = f"has {count} of {whole} lines and is missing"
-            yield Placed(begin, (), (), remark)
+            yield Placed(lines[0], (), (), f"has {count} of {whole} lines and is missing")
             return
         for first in range(0, count, whole):
-            lines = segment.lines[first : first + whole]
-            yield Placed(lines[0], lines, tuple(range(whole)), "")
+            yield Placed(lines[first], lines[first : first + whole], tuple(range(whole)))
         return
-    chosen = [at for at, keys in enumerate(segment.keys) if keys.position in ends.ranks]
+    ranks = {
+        at: ends.ranks[keys.position]
+        for at, (_, keys) in enumerate(segment)
+        if keys.position in ends.ranks
+    }
+    chosen = [*ranks]
     if not ends.shared and ends.gapless:
-        # A line with a damaged name between two successive positions is of another frame.
-        places = [(at, ends.ranks[segment.keys[at].position]) for at in chosen]
-        cuts = [
-            number
-            for number, ((at, rank), following) in enumerate(pairwise(places), 1)
-            if following != (at + 1, rank + 1)
-        ]
-        sides = [chosen[first:end] for first, end in pairwise([0, *cuts, len(chosen)])]
-        sides.sort(key=len, reverse=True)
+        # A line with a damaged name between two successive positions is of another frame: on a
+        # side of it, lines and ranks rise by one.
+        runs = groupby(
+            enumerate(chosen), lambda item: (item[1] - item[0], ranks[item[1]] - item[0])
+        )
+        sides = [[at for _, at in run] for _, run in runs]
+        chosen = max(sides, key=len, default=[])
         # Of two single lines one may have a damaged name.
-        unclear = len(sides) > 1 and len(sides[0]) == 1
-        chosen = [] if unclear else sides[0]
-    lines = tuple(segment.lines[at] for at in chosen)
-    positions = tuple(segment.keys[at].position for at in chosen)
-    remark = f"has {len(lines)} of {whole} lines" if len(lines) < whole else ""
-    yield Placed(begin, lines, positions, remark)
+        if len(sides) > 1 and len(chosen) == 1:
+            chosen = []
+    remark = f"has {len(chosen)} of {whole} lines" if len(chosen) < whole else ""
+    positions = tuple(segment[at][1].position for at in chosen)
+    yield Placed(lines[0], tuple(lines[at] for at in chosen), positions, remark)
 
 
 def scan_order(positions: Sequence[int], parts: Mask) -> Mapping[int, int]:
@@ -237,18 +222,24 @@ def scan_order(positions: Sequence[int], parts: Mask) -> Mapping[int, int]:
         if position >= 0
     ]
     ascending = sorted({position for position, _ in read})
-    orders = [ascending, ascending[::-1]]
+    orders: list[Sequence[int]] = [ascending, ascending[::-1]]
     cycles = Counter(
         _beginning_with(ascending[0], order)
         for order in _sequences(read)
         if len(order) == len(ascending)
     )
     for order, _ in cycles.most_common(1):
-        orders += [list(order), list(_beginning_with(read[0][0], order))]
-    falls = [_falls(read, {position: at for at, position in enumerate(order)}) for order in orders]
-    costs = [count + unusual for count, unusual in zip(falls, UNUSUAL, strict=False)]
-    best = int(np.argmin(costs))
-    return {position: rank for rank, position in enumerate(orders[best])}
+        orders += [order, _beginning_with(read[0][0], order)]
+    ranks = [{position: rank for rank, position in enumerate(order)} for order in orders]
+    costs = [
+        sum(
+            rank[position] <= rank[last] and not new
+            for (last, _), (position, new) in pairwise(read)
+        )
+        + unusual
+        for rank, unusual in zip(ranks, UNUSUAL, strict=False)
+    ]
+    return ranks[int(np.argmin(costs))]
 
 
 def _sequences(read: Sequence[tuple[int, bool]]) -> Iterator[tuple[int, ...]]:
@@ -266,13 +257,6 @@ def _beginning_with(position: int, order: tuple[int, ...]) -> tuple[int, ...]:
     """Return a cyclic order from a position on."""
     at = order.index(position)
     return order[at:] + order[:at]
-
-
-def _falls(read: Sequence[tuple[int, bool]], ranks: Mapping[int, int]) -> int:
-    """Return how often positions do not rise between lines of one part."""
-    return sum(
-        ranks[position] <= ranks[last] and not new for (last, _), (position, new) in pairwise(read)
-    )
 
 
 def are_whole(changes: Mask, lines: int) -> bool:

@@ -176,17 +176,15 @@ class ReadingsTable:
 
         Other lines count as titles of the next line.
         """
-        parts = {
-            name: getattr(self, name)[lines][:, columns] for name in ("fields", "values", "words")
-        }
-        names = tuple(np.array(self.names, dtype=object)[columns])
         return replace(
             self,
             lines=self.lines[lines],
             columns=self.columns[columns],
-            names=names,
+            fields=self.fields[lines][:, columns],
+            values=self.values[lines][:, columns],
+            words=self.words[lines][:, columns],
+            names=tuple(np.array(self.names, dtype=object)[columns]),
             numbers=self.numbers[lines],
-            **parts,
         )
 
     def line_numbers(self, field: int) -> Array:
@@ -230,17 +228,16 @@ class ReadingsTable:
         )
         words = names if any(map(names_unit, names)) else (*filter(states_unit, titles), *beside)
         if not words:
-            outside = set(range(len(self.source.lines))) - set(self.lines.tolist())
-            texts = (" ".join(self.source.lines[line].texts) for line in sorted(outside))
-            stated = filter(None, map(pressures_in, texts))
-            words = tuple(f"values [{unit}]" for unit in islice(stated, 1))
+            outside = sorted({*range(len(self.source.lines))} - {*self.lines.tolist()})
+            stated = (pressures_in(" ".join(self.source.lines[line].texts)) for line in outside)
+            words = tuple(f"values [{unit}]" for unit in islice(filter(None, stated), 1))
 
         def named(at: int) -> str:
             return self.source.source if at < 0 else self.place(*divmod(at, self.width))
 
-        numbers = self.values.ravel()
         parts = self.source.parts if len(fields) == number[0].size else 1
-        return Frames(numbers, number, named, timing, (*self.notes, *notes), words, parts)
+        notes = (*self.notes, *notes)
+        return Frames(self.values.ravel(), number, named, timing, notes, words, parts)
 
     def refuse_words(self, fields: Iterable[int], most: float = 0.0) -> None:
         """Raise InputError with the place if more than a fraction of a field's texts are words."""
@@ -287,7 +284,8 @@ class ReadingsTable:
             texts = [self.source.lines[line].stamp for line in self.lines]
             return Stamps(texts, "s", "the terminal's, ", self.comma)
         dates = [column for column in columns if role_of(self.names[column]) == "date"]
-        chosen = [*dates[:1], *[column for column in columns if column not in dates][:1]]
+        times = [column for column in columns if column not in dates]
+        chosen = [*dates[:1], *times[:1]]
         texts = [" ".join(line) for line in self.fields[:, chosen]]
         name = self.names[chosen[-1]]
         origin = f"column {name!r} in " if name else "first field in "
@@ -312,17 +310,17 @@ class ReadingsTable:
         texts = [stamps.texts[line] for line in lines]
         if any(texts) and (columns or self.clock or all(texts)):
             return replace(stamps, texts=texts)
-        before = [self.before[line] for line in lines]
-        time_texts = [
-            " ".join(text for text in passed if title in (None, kind_of(text))) for passed in before
-        ]
-        matches = [
-            TITLE_TIME.search(text or " ".join(passed))
-            for text, passed in zip(time_texts, before, strict=True)
-        ]
-        texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches if match]
-        if len(texts) < len(lines) or not matches or not matches[0]:
+        matches = list[re.Match[str]]()
+        for line in lines:
+            before = self.before[line]
+            text = " ".join(text for text in before if title in (None, kind_of(text)))
+            match = TITLE_TIME.search(text or " ".join(before))
+            if match is None:
+                return None
+            matches.append(match)
+        if not matches:
             return None
+        texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches]
         name = matches[0]["inner"] or matches[0]["unit"] or matches[0]["word"] or ""
         # Titles may have a decimal comma where readings are whole numbers; '0,120' is no 120.
         comma = any(text.startswith("0,") or number_of(text, comma=False) is None for text in texts)
@@ -357,15 +355,13 @@ def clock_texts(clock: Mapping[str, int], numbers: Array) -> list[str]:
         return numbers[:, clock[name]] if name in clock else np.zeros(len(numbers))
 
     if "epoch" in clock:
-        parts = np.stack([part("epoch"), part("nanosecond") + 1e3 * part("microsecond")], axis=1)
+        pairs = zip(part("epoch"), part("nanosecond"), strict=True)
         return [
-            f"{int(line[0])}.{int(line[1]):09d}" if np.all(np.isfinite(line)) else ""
-            for line in parts
+            f"{int(whole)}.{int(nano):09d}" if np.isfinite(whole + nano) else ""
+            for whole, nano in pairs
         ]
     seconds = part("second") + part("millisecond") / 1000
-    parts = np.stack(
-        [part("year"), part("month"), part("day"), part("hour"), part("minute"), seconds], axis=1
-    )
+    parts = np.stack([*map(part, ("year", "month", "day", "hour", "minute")), seconds], axis=1)
     form = "{0:04.0f}-{1:02.0f}-{2:02.0f} " if "year" in clock else ""
     form += "{3:02.0f}:{4:02.0f}:{5:09.6f}" if "hour" in clock else ""
     return [form.format(*line).strip() if np.all(np.isfinite(line)) else "" for line in parts]

@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from lampest.apps.foreign.words import units_of
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -22,12 +23,13 @@ MAX_CODE = 65535  # of a 16-bit converter; larger whole numbers are resistances
 
 
 def understood_unit(
-    values: Array, named: Sequence[str], scene: Scene | None, source: object
+    values: Array, unit: str | None, words: Sequence[str], scene: Scene | None, source: object
 ) -> tuple[str, str]:
     """Return the unit of values (any shape, NaN if missing) and the reason for it.
 
-    `named` are the units that the header permits, () if it names none. Raises InputError if no unit
-    fits, or several.
+    `unit` is the specified one, if any; `words` are names in the file that may contain it. Raises
+    InputError with the file if no unit fits, or several, or if the words name one that is not
+    imported.
 
     Returns
     -------
@@ -35,6 +37,12 @@ def understood_unit(
     reason : str
         Sentence for the user.
     """
+    if unit is not None:
+        return unit, f"unit {unit}, as specified"
+    try:
+        named = units_of(words)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
     readout = None if scene is None else scene.readout
     possible: Sequence[str] = RESISTANCES
     if readout is not None:

@@ -112,15 +112,13 @@ def parted(name: str) -> tuple[str, str]:
     match = PARTED.fullmatch(text)
     bracketed = BRACKETED.fullmatch(text)
     if bracketed and bracketed[1] and not LINE_NUMBER.fullmatch(bracketed[2].lower()):
-        text = bracketed[1]
-        unit = bracketed[2]
+        text, unit = bracketed.groups()
     elif match and (
         match[2].strip(" _") in tuple("[(<{")
         or match[3].lower() in UNITS
         or ELECTRIC.fullmatch(match[3])
     ):
-        text = match[1]
-        unit = match[3]
+        text, _, unit = match.groups()
     return re.sub(r"[\s_\-.:]+", "_", text.strip("#% ").lower()).strip("_"), unit
 
 
@@ -132,8 +130,8 @@ def role_of(name: str) -> str | None:
     word, unit = parted(name)
     seconds = unit.lower() in TIME_UNIT_OF_WORD and unit[1:] != "S"  # mS are millisiemens
     role = ROLE_OF_WORD.get(word) or ("time" if seconds else None)
-    has_other_unit = BRACKETED.fullmatch(name.strip()) and unit and not seconds
-    return None if role == "time" and has_other_unit else role
+    other_unit = unit and not seconds and BRACKETED.fullmatch(name.strip())
+    return None if role == "time" and other_unit else role
 
 
 def cell_of(name: str) -> tuple[int, int] | None:
@@ -167,7 +165,7 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
             raise InputError(
                 f"the headers name both {permitted[0]} and {units[0]}; `unit` says which it is"
             )
-        permitted = units if not permitted or len(units) < len(permitted) else permitted
+        permitted = min(permitted or units, units, key=len)
     return permitted
 
 
@@ -252,10 +250,8 @@ def has_decimal_comma(fields: Sequence[str]) -> bool:
     comma, point = (
         [field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT)
     )
-    if len(comma) != len(point):
-        return len(comma) > len(point)
     text = "".join(comma)
-    return "," in text and "." not in text
+    return len(comma) > len(point) or (len(comma) == len(point) and "," in text and "." not in text)
 
 
 @lru_cache(100_000)

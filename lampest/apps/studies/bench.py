@@ -55,18 +55,17 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
     pitch = Panel(*shape).pitch_mm
     height, width = (pitch * (side - 1) for side in shape)
     rods = tuple(
-        Rod(kind="rod", centre_mm=(right * width, down * height), diameter_mm=40, mass_g=mass)
+        Rod(centre_mm=(right * width, down * height), diameter_mm=40, mass_g=mass)
         for right, down, mass in ((0.3, 0.3, 680.0), (0.7, 0.35, 300.0), (0.4, 0.75, 1200.0))
     )
     breathing = common.shipped_lamprey().course
-    if number % 3 == 0:
-        return (
-            common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape)),
-        ), breathing
-    if number % 3 == 1:
-        return rods, Course()
+    wide = common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape))
     mouth = common.lamprey_mouth((0.6 * width, 0.55 * height))
-    return (mouth, rods[0]), replace(breathing, start_s=-0.4, approach_s=2)
+    return (
+        ((wide,), breathing),
+        (rods, Course()),
+        ((mouth, rods[0]), replace(breathing, start_s=-0.4, approach_s=2)),
+    )[number % 3]
 
 
 @dataclass(frozen=True)
@@ -156,8 +155,11 @@ class BenchFile(Configuration):
     def solvers(self, shape: common.Shape) -> tuple[str, ...]:
         """Return the names of the solvers that run on a panel."""
         wired = self.lines is not None and self.lines.resist
-        known = (name for name in self.limits.solvers if not (wired and name == "nodal"))
-        return tuple(name for name in known if max(shape) <= getattr(self.limits, name))
+        return tuple(
+            name
+            for name in self.limits.solvers
+            if max(shape) <= getattr(self.limits, name) and not (wired and name == "nodal")
+        )
 
     def estimator(self, method: str, solver: str, shape: common.Shape) -> Estimator:
         """Return a method with a solver for a panel.
@@ -175,10 +177,16 @@ class BenchFile(Configuration):
         """Simulate a recording of a panel with 3 unloaded frames and the loads of `loads`."""
         scene = common.simple_scene(shape, self.readout, self.lines)
         touching, course = loads(number, shape)
-        known: dict[str, Any] = {"loads": touching, "course": course, "unmodelled": self.unmodelled}
-        return simulate(
-            Simulation(1, self.seed + number, scene, frames=self.frames + 1, **known), str(number)
+        simulation = Simulation(
+            1,
+            self.seed + number,
+            scene,
+            frames=self.frames + 1,
+            loads=touching,
+            course=course,
+            unmodelled=self.unmodelled,
         )
+        return simulate(simulation, str(number))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,14 +214,22 @@ class BenchPart(NamedTuple):
         """Predict the time from the largest panel up to this size, growing as (M + N)³."""
         solvers = bench.solvers(self.shape)
         lines = sum(self.shape)
-        similar = [
-            frame for frame in done if frame.method == self.method and frame.solver in solvers
-        ]
-        smaller = [sum(frame.shape) for frame in similar if sum(frame.shape) <= lines]
-        nearest = max(smaller, default=lines)
-        similar = [frame for frame in similar if sum(frame.shape) == nearest]
-        recordings = len({(frame.shape, frame.recording) for frame in similar}) or 1
-        return sum(frame.seconds for frame in similar) / recordings * (lines / nearest) ** 3
+        similar = grouped(
+            (
+                frame
+                for frame in done
+                if frame.method == self.method
+                and frame.solver in solvers
+                and sum(frame.shape) <= lines
+            ),
+            lambda frame: sum(frame.shape),
+        )
+        if not similar:
+            return 0.0
+        nearest = max(similar)
+        recordings = len({(frame.shape, frame.recording) for frame in similar[nearest]})
+        seconds = sum(frame.seconds for frame in similar[nearest])
+        return float(seconds / recordings * (lines / nearest) ** 3)
 
 
 PROCESS_START_S = 3.0  # that a fresh process takes to begin
@@ -285,45 +301,44 @@ def _frames(
     bench: BenchFile, recording: Recording, part: BenchPart, end: float
 ) -> Iterator[BenchFrame]:
     """Solve every frame by all solvers, until less time is left than the last frame took."""
-    estimators = {
-        name: bench.estimator(part.method, name, part.shape) for name in bench.solvers(part.shape)
-    }
     readings = recording.readings()
     matrix = laplacian(np.ones(part.shape))[1:, 1:]
     stream = first_stream(recording, readings, bench.estimator(part.method, "reduced", part.shape))
     # Without it, the first frame is a cold start.
     start = stream.previous if stream.estimator.relative else None
     streams = {
-        name: replace(stream, estimator=estimator, previous=start)
-        for name, estimator in estimators.items()
+        name: replace(
+            stream, estimator=bench.estimator(part.method, name, part.shape), previous=start
+        )
+        for name in bench.solvers(part.shape)
     }
     kind = "pair" if stream.estimator.joint_start else "first"
     for number, frame in enumerate(recording.measured_frames()):
         begin = perf_counter()
         turns = _turns(streams, readings[frame], bench.repeats if number else 1)
-        objectives = {name: turn.objective for name, turn in turns[0].items()}
-        best = min(objectives, key=objectives.__getitem__)
+        leader = min(turns[0].values(), key=attrgetter("objective"))
         # scale of the gap: φ_best + 1e-9 Σ R²
-        size = objectives[best] + 1e-9 * float(np.sum(readings[frame].value ** 2))
+        size = leader.objective + 1e-9 * float(np.sum(readings[frame].value ** 2))
         for name, turn in turns[0].items():
-            solved = turn.step.solution.solved
-            gap = (turn.objective - objectives[best]) / size if solved else np.inf
+            solution = turn.step.solution
+            gap = (turn.objective - leader.objective) / size if solution.solved else np.inf
             yield BenchFrame(
                 **outcome(recording, turn.step),
                 method=part.method,
                 solver=name,
                 frame=number,
                 seconds=min(turn[name].seconds for turn in turns),
-                objective=turn.step.solution.objective,
+                objective=solution.objective,
                 gap=gap if len(streams) > 1 else np.nan,
                 kind="later" if number else kind,
                 inverse_s=inverse_time(matrix),
             )
         # All continue from the best estimate, each with its own caches.
-        leader = turns[0][best].stream
         streams = {
-            name: replace(leader, estimator=estimator, prepared=turns[0][name].stream.prepared)
-            for name, estimator in estimators.items()
+            name: replace(
+                leader.stream, estimator=stream.estimator, prepared=turns[0][name].stream.prepared
+            )
+            for name, stream in streams.items()
         }
         if perf_counter() - begin > end - perf_counter():
             return
@@ -411,10 +426,10 @@ def growth(rows: Sequence[study.Row]) -> list[study.Row]:
     exponents = []
     for group, group_rows in grouped(large, attrgetter(*GROWTH[:3])).items():
         sides = [(row.rows + row.columns) / 2 for row in group_rows]
-        if len(group_rows) > 1:
+        if len(sides) > 1:
             line = linregress(np.log(sides), np.log([row.ms for row in group_rows]))
-            error = float(line.stderr) if len(group_rows) > 2 else None
-            figures = (*group, float(line.slope), error, len(group_rows), max(sides))
+            error = float(line.stderr) if len(sides) > 2 else None
+            figures = (*group, float(line.slope), error, len(sides), max(sides))
             exponents.append(study.Row(**dict(zip(GROWTH, figures, strict=True))))
     return exponents
 
@@ -466,14 +481,13 @@ def sheets(bench: Bench) -> list[study.Sheet]:
     totals = [row for row in rows if row.method == ALL]
     ours = [row for row in rows if row.method != ALL and row.solver == "reduced"]
     commands = [study.Row(**study.named_values(time, *COMMANDS_CSV)) for time in bench.commands]
-    shared = {title: of for title, of in SCREEN.items() if title not in ("method", "quartiles")}
+
+    def without(*titles: str) -> Columns:
+        return {title: of for title, of in SCREEN.items() if title not in titles}
+
     titled: list[study.Sheet] = [
-        ("solvers: all methods together", totals, shared),
-        (
-            "methods: the reduced solver",
-            ours,
-            {title: of for title, of in SCREEN.items() if title != "solver"},
-        ),
+        ("solvers: all methods together", totals, without("method", "quartiles")),
+        ("methods: the reduced solver", ours, without("solver")),
         ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
         ("commands: whole, in fresh processes", commands, COMMANDS_SCREEN),
     ]
@@ -516,13 +530,9 @@ STUDY: study.Study[BenchFile, Bench] = study.Study(
         for name, records in (("frames", bench.frames), ("commands", bench.commands))
         if records
     ],
-    texts=lambda bench: {
-        name: study.csv_of(rows, columns)
-        for name, rows, columns in (
-            ("growth.csv", growth(bench_rows(bench.frames)), GROWTH),
-            ("commands.csv", bench.commands, COMMANDS_CSV),
-        )
-        if rows or name == "growth.csv"
-    },
+    texts=lambda bench: (
+        {"growth.csv": study.csv_of(growth(bench_rows(bench.frames)), GROWTH)}
+        | ({"commands.csv": study.csv_of(bench.commands, COMMANDS_CSV)} if bench.commands else {})
+    ),
     remarks=bench_remarks,
 )

@@ -3,7 +3,7 @@
 The parts are methods, panels, a lamprey's mouth, timed frames, clocks, and peak memory.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -84,9 +84,8 @@ def shapes_of(sizes: Sizes) -> tuple[Shape, ...]:
     return tuple((size, size) if isinstance(size, int) else size for size in sizes)
 
 
-def check_sides(shapes: Iterable[Shape], low: int, high: int) -> None:
+def check_sides(shapes: Sequence[Shape], low: int, high: int) -> None:
     """Raise ValueError unless all rows and columns are in a range and all panels differ."""
-    shapes = list(shapes)
     check_range("a panel's side", [side for shape in shapes for side in shape], low, high)
     if len(set(shapes)) < len(shapes):
         raise ValueError("sizes names a panel twice")
@@ -193,11 +192,9 @@ def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
         The lesser of wall time and processor time.
     """
     wall = perf_counter()
-    cpu = process_time()
+    processor = process_time()
     result = call()
-    wall = perf_counter() - wall
-    cpu = process_time() - cpu
-    return result, min(wall, cpu)
+    return result, min(perf_counter() - wall, process_time() - processor)
 
 
 def inverse_time(matrix: Array) -> float:
@@ -229,7 +226,7 @@ def peak_memory(recording: Recording, estimator: Estimator) -> float:
     IPOPT's factors.
     """
     ((_, megabytes),) = Processes(1).results(_peak_of, [(first_frames(recording, 2), estimator)])
-    return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
+    return np.nan if isinstance(megabytes, Exception) else float(megabytes)
 
 
 def _peak_of(task: tuple[Recording, Estimator]) -> float:

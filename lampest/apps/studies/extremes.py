@@ -5,13 +5,13 @@ the solvers.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, product
 from math import nan
 from operator import attrgetter
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from lampest.apps.studies.certified import (
 from lampest.apps.studies.common import StudyMethod, paper_methods
 from lampest.apps.studies.extreme_scenes import CASES, GRID, AtlasSample, Grid, recording_of
 from lampest.apps.studies.study import OnStep, column
+from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream, frame_period
@@ -35,7 +36,6 @@ from lampest.files.errors import InputError
 from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 from lampest.panel.readouts.floating import exact_two_point_resistance, two_point_resistance
-from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.report.compare import Columns, grouped
 from lampest.runs.executors import AnyExecutor, Processes, each_of
@@ -152,12 +152,12 @@ def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> t
     installed.
     """
     fifty_digit_library()
-
-    def lost(sample: AtlasSample, error: BaseException) -> tuple[Solve]:
-        return (_failed(sample, "", "", "", error),)
-
     solves = each_of(
-        partial(solves_of, atlas), atlas.samples, on_step, atlas.executor or Processes(), lost
+        partial(solves_of, atlas),
+        atlas.samples,
+        on_step,
+        atlas.executor or Processes(),
+        lambda sample, error: (_failed(sample, "", "", "", error),),
     )
     return tuple(chain.from_iterable(solves))
 
@@ -166,11 +166,9 @@ def _failed(
     sample: AtlasSample, method: str, formulation: str, part: str, error: BaseException
 ) -> Solve:
     """Return a solve that ended with an exception."""
-    status = (
-        f"{REFUSED}{error}"
-        if isinstance(error, InputError)
-        else f"{CRASHED}{type(error).__name__}: {error}"
-    )
+    status = f"{CRASHED}{type(error).__name__}: {error}"
+    if isinstance(error, InputError):
+        status = f"{REFUSED}{error}"
     return Solve(
         **vars(sample),
         method=method,
@@ -195,12 +193,13 @@ def solves_of(atlas: AtlasFile, sample: AtlasSample) -> tuple[Solve, ...]:
         try:
             estimator = method.estimator(formulation, atlas.solver)
             if weight is not None:
-                weights = [
-                    float(term.weight) if term.reads_measurement else weight
-                    for term in estimator.terms
-                ]
-                estimator = estimator.with_weights(weights)
-            solves += judged(sample, name, estimator, recording, cells, atlas.audit_cells)
+                estimator = estimator.with_weights(
+                    [
+                        float(term.weight) if term.reads_measurement else weight
+                        for term in estimator.terms
+                    ]
+                )
+            solves += [*judged(sample, name, estimator, recording, cells, atlas.audit_cells)]
         except Exception as error:  # whatever it is, the atlas shows it
             solves.append(_failed(sample, name, formulation, "frame", error))
     return tuple(replace(solve, forward_digits=forward) for solve in solves)
@@ -213,8 +212,8 @@ def judged(
     recording: Recording,
     truth: Array,
     audit_cells: int,
-) -> list[Solve]:
-    """Return the solves of baseline and frame, or of the pair, judged by the cells of the scene.
+) -> Iterator[Solve]:
+    """Yield the solves of baseline and frame, or of the pair, judged by the cells of the scene.
 
     Parameters
     ----------
@@ -228,71 +227,41 @@ def judged(
     readings = recording.readings()
     stream = first_stream(recording, readings, estimator)
     data, _ = stream.data_and_start(readings[1])
-    joint = len(data.measured) == 2
     _, step = stream.push(readings[1])
-    frame = SolvedPart(
-        "pair" if joint else "frame", truth if joint else truth[1:], estimator, data, step.solution
-    )
-    parts = [frame]
+    joint = len(data.measured) == 2
+    parts = [("pair" if joint else "frame", truth[1 - joint :], estimator, data, step.solution)]
     if stream.baseline is not None:
         absolute = replace(estimator, terms=estimator.absolute_terms)
         blank = Stream(absolute, recording.scene, frame_period(recording), readings[0])
         unloaded, _ = blank.data_and_start(blank.resting)
-        solution = stream.baseline.solution
-        parts.insert(0, SolvedPart("baseline", truth[:1], absolute, unloaded, solution))
-    solves = []
-    for part in parts:
-        solution = part.solution
+        parts.insert(0, ("baseline", truth[:1], absolute, unloaded, stream.baseline.solution))
+    for part, cells, solved_by, data, solution in parts:
         figures = study.named_values(solution, "solved", "iterations")
         if solution.solved:
-            figures |= _audit(part, recording.scene, audit_cells)
-        solves.append(
-            Solve(
-                **vars(sample),
-                method=name,
-                formulation=part.estimator.method.kind,
-                part=part.name,
-                status=solution.status.value,
-                residual=solution.kkt_residual,
-                **figures,
-            )
+            cost = solved_by.cost(recording.scene, len(data.measured), partial=data.partial)
+            figures |= _audit(cost, data, solution, cells, audit_cells)
+        yield Solve(
+            **vars(sample),
+            method=name,
+            formulation=solved_by.method.kind,
+            part=part,
+            status=solution.status.value,
+            residual=solution.kkt_residual,
+            **figures,
         )
-    return solves
 
 
-class SolvedPart(NamedTuple):
-    """A solve of a scene, with the truth and the problem.
-
-    Attributes
-    ----------
-    name : str
-        baseline, frame, or the pair of both.
-    truth : array, shape (frames, rows, columns)
-        Ohm.
-    estimator : Estimator
-    data : Data
-    solution : Solution
-    """
-
-    name: str
-    truth: Array
-    estimator: Estimator
-    data: Data
-    solution: Solution
-
-
-def _audit(part: SolvedPart, scene: Scene, audit_cells: int) -> dict[str, float]:
-    """Return the figures of a solved part by exact arithmetic, by their names in `Solve`."""
-    data = part.data
-    cost = part.estimator.cost(scene, len(data.measured), partial=data.partial)
-    estimate = part.solution.cell_resistance
-    truth = np.clip(part.truth, data.lower, data.upper)
-    excess = exact_cost(cost, data, estimate) - exact_cost(cost, data, truth)
+def _audit(
+    cost: Cost, data: Data, solution: Solution, truth: Array, audit_cells: int
+) -> dict[str, float]:
+    """Return the figures of a solution by exact arithmetic, by their names in `Solve`."""
+    estimate = solution.cell_resistance
+    best = exact_cost(cost, data, np.clip(truth, data.lower, data.upper))
     is_small = estimate[0].size <= audit_cells
     return {
         "audited": exact_residual(cost, data, estimate) if is_small else nan,
-        "excess": excess / exact_scale(cost, data, estimate),
-        "model_digits": correct_digits(part.solution.reading, exact_two_point_resistance(estimate)),
+        "excess": (exact_cost(cost, data, estimate) - best) / exact_scale(cost, data, estimate),
+        "model_digits": correct_digits(solution.reading, exact_two_point_resistance(estimate)),
     }
 
 
@@ -306,6 +275,10 @@ def _row(group: Sequence[Solve]) -> study.Row:
     solved = [solve for solve in group if solve.solved]
     statuses = Counter(solve.status for solve in group).most_common()
     iterations = [solve.iterations for solve in group]
+
+    def extreme(of: np.ufunc, name: str, solves: Sequence[Solve]) -> float:
+        return float(of.reduce([getattr(solve, name) for solve in solves], initial=nan))
+
     return study.Row(
         **study.named_values(
             group[0], "case", "decades", "rows", "columns", "noise", "method", "formulation"
@@ -316,12 +289,10 @@ def _row(group: Sequence[Solve]) -> study.Row:
         doubtful=sum(solve.doubtful for solve in group),
         crashed=sum(solve.crashed for solve in group),
         worse=sum(solve.excess > VERIFIED for solve in solved),
-        forward_digits=float(
-            np.fmin.reduce([solve.forward_digits for solve in group], initial=nan)
-        ),
-        model_digits=float(np.fmin.reduce([solve.model_digits for solve in solved], initial=nan)),
-        residual=float(np.fmax.reduce([solve.residual for solve in solved], initial=nan)),
-        audited=float(np.fmax.reduce([solve.audited for solve in solved], initial=nan)),
+        forward_digits=extreme(np.fmin, "forward_digits", group),
+        model_digits=extreme(np.fmin, "model_digits", solved),
+        residual=extreme(np.fmax, "residual", solved),
+        audited=extreme(np.fmax, "audited", solved),
         iterations=float(np.median(iterations)),
         most_iterations=max(iterations),
         statuses="; ".join(f"{count} × {status}" for status, count in statuses),
@@ -372,11 +343,11 @@ def atlas_remarks(solves: Sequence[Solve]) -> list[str]:
             f"{title}: {_share(sum(solve.verified for solve in chosen), len(chosen), 'verified')}"
         )
     # A refusal without the numbers of its scene.
-    kinds = (
+    ended = Counter(
         solve.status.split(":")[0] if solve.status.startswith(REFUSED) else solve.status
         for solve in solves
+        if not solve.solved
     )
-    ended = Counter(kind for kind, solve in zip(kinds, solves, strict=True) if not solve.solved)
     return lines + [f"{count} × {status}" for status, count in ended.most_common()]
 
 

@@ -7,14 +7,15 @@ Therefore each estimate is evaluated with the same cost, given the previous fram
 by its second frame, given the reference's baseline.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count, product
+from itertools import product
 from operator import attrgetter
 from pathlib import Path
 from string import ascii_lowercase
 from time import perf_counter
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -110,17 +111,22 @@ class Simulated(Configuration):
         Simulations have 3 unloaded frames and `frames`.
         """
         course = common.shipped_lamprey().course
-        for rows, columns in common.shapes_of(self.sizes):
+        for (rows, columns), (noise, readout), (effect, unmodelled) in product(
+            common.shapes_of(self.sizes), self.noise.items(), self.scenes.items()
+        ):
             mouth = common.lamprey_mouth(
                 (10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm
             )
-            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": course}
-            for (noise, readout), (effect, unmodelled) in product(
-                self.noise.items(), self.scenes.items()
-            ):
-                scene = common.simple_scene((rows, columns), readout)
-                simulation = Simulation(1, self.seed, scene, unmodelled=unmodelled, **known)
-                yield f"{rows}x{columns}_{effect}_{noise}", simulation
+            simulation = Simulation(
+                1,
+                self.seed,
+                common.simple_scene((rows, columns), readout),
+                frames=frames,
+                loads=(mouth,),
+                course=course,
+                unmodelled=unmodelled,
+            )
+            yield f"{rows}x{columns}_{effect}_{noise}", simulation
 
 
 @dataclass(frozen=True)
@@ -199,19 +205,18 @@ class TradeoffFile(Configuration):
 
     def rungs(self, shape: common.Shape) -> dict[str, Method]:
         """Return the formulations that are measured on a panel, by name."""
-        limits = {
-            name: getattr(self.limits, rung.kind, common.MAX_SIDE)
+        return {
+            name: rung
             for name, rung in self.ladder.items()
+            if max(shape) <= getattr(self.limits, rung.kind, common.MAX_SIDE)
         }
-        return {name: rung for name, rung in self.ladder.items() if max(shape) <= limits[name]}
 
     def methods(self, shape: common.Shape) -> list[str]:
         """Return the methods that are measured on a panel."""
         small = max(shape) <= self.limits.joint
-        methods = self.estimators.items()
         return [
             name
-            for name, method in methods
+            for name, method in self.estimators.items()
             if small or not any(term.needs_previous for term in method.parts)
         ]
 
@@ -234,15 +239,12 @@ def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
     if settings.simulated is not None:
         try:
             for name, simulation in settings.simulated.simulations(settings.frames):
-                panel = simulation.scene.panel
-                recordings.append(
-                    replace(simulate(simulation, f"{panel.rows}x{panel.columns}"), name=name)
-                )
+                size = name.partition("_")[0]
+                recordings.append(replace(simulate(simulation, size), name=name))
         except ValueError as error:
             raise InputError(f"{path}: simulated: {error}") from error
-    names = [recording.name for recording in recordings]
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(recording.name for recording in recordings).items():
+        if count > 1:
             raise InputError(f"{path}: two recordings are called {name}")
     return Plan(settings, recordings)
 
@@ -271,26 +273,26 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list
     `on_step` receives the numbers of finished and of all parts.
     """
     settings = plan.settings
-    done = count(1)
-    measured = list[TradeoffFrame]()
     first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
-    timed = list[tuple[Recording, str]]()
-    for recording in plan.recordings:
-        methods = settings.methods(recording.scene.panel.shape)
-        timed += [(recording, method) for method in methods]
-    weighed = list[tuple[common.Shape, str]]()
-    for shape in first if settings.memory else ():
-        weighed += [(shape, rung) for rung in settings.rungs(shape)]
+    timed = [
+        (recording, method)
+        for recording in plan.recordings
+        for method in settings.methods(recording.scene.panel.shape)
+    ]
+    weighed = [
+        (shape, rung) for shape in first for rung in settings.rungs(shape) if settings.memory
+    ]
     parts = len(timed) + len(weighed)
-    for recording, method in timed:
+    measured = list[TradeoffFrame]()
+    for done, (recording, method) in enumerate(timed, 1):
         measured += _measure(settings, recording, method)
-        on_step(next(done), parts)
+        on_step(done, parts)
     memory = {}
-    for shape, rung in weighed:
+    for done, (shape, rung) in enumerate(weighed, len(timed) + 1):
         method_of_memory = settings.estimators[str(settings.memory)]
         estimator = method_of_memory.estimator(settings.ladder[rung], settings.solver)
         memory[shape, rung] = peak_memory(first[shape], estimator)
-        on_step(next(done), parts)
+        on_step(done, parts)
     return [replace(frame, memory_mb=memory.get((frame.shape, frame.solver))) for frame in measured]
 
 
@@ -306,9 +308,14 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
             estimator = settings.estimators[method].estimator(formulation, settings.solver)
             runs[name].append(reconstruct(recording, estimator))
     costs = list(_costs(runs[REFERENCE][0]))
-    pairs = [zip(costs, run[0].cell_resistance, strict=True) for run in runs.values()]
     objective = np.array(
-        [[Evaluation.at(*cost, cells[None]).objective for cost, cells in pair] for pair in pairs]
+        [
+            [
+                Evaluation.at(*cost, cells[None]).objective
+                for cost, cells in zip(costs, run[0].cell_resistance, strict=True)
+            ]
+            for run in runs.values()
+        ]
     )
     # (φ − φ_best)/(φ_best + φ_noise)
     least = np.nanmin(objective, axis=0)
@@ -317,23 +324,21 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
         runs.items(), objective.tolist(), gaps.tolist(), strict=True
     ):
         first = run[0]
-        seconds = np.min(
-            [[step.seconds for step in estimates.steps] for estimates in run], axis=0
-        ).tolist()
-        for number, (step, cell, changed) in enumerate(
-            zip(first.steps, *errors(first), strict=True)
+        baseline_s = (
+            0.0 if first.joint_start else min(estimates.baseline.seconds for estimates in run)
+        )
+        for number, (steps, cell, changed) in enumerate(
+            zip(zip(*(each.steps for each in run), strict=True), *errors(first), strict=True)
         ):
             yield TradeoffFrame(
-                **outcome(recording, step),
+                **outcome(recording, steps[0]),
                 method=method,
                 solver=name,
                 frame=number,
-                seconds=seconds[number],
+                seconds=min(step.seconds for step in steps),
                 objective=values[number],
                 gap=gap[number],
-                baseline_s=0.0
-                if first.joint_start
-                else min(estimates.baseline.seconds for estimates in run),
+                baseline_s=baseline_s,
                 cell_error=float(cell),
                 changed_error=float(changed),
             )
@@ -350,20 +355,18 @@ def errors(estimates: Estimates) -> tuple[Array, Array]:
         Median over the changed cells.
     """
     recording = estimates.recording
-    frames = len(estimates.frame)
     truth = recording.truth_cell_resistance
     if truth is None:
-        return np.full(frames, np.nan), np.full(frames, np.nan)
+        unknown = np.full(len(estimates.frame), np.nan)
+        return unknown, unknown
     # changed cells: by more than 5 % from the median of the true unloaded cells
-    unloaded = np.flatnonzero(recording.role == UNLOADED)
-    resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
-    error = np.where(
-        recording.scene.broken,
-        np.nan,
-        relative_error(estimates.cell_resistance, truth[estimates.frame]),
-    )
+    unloaded = recording.role == UNLOADED
+    resting = np.median(truth[unloaded], axis=0) if unloaded.any() else truth[0]
+    loaded = truth[estimates.frame]
+    error = relative_error(estimates.cell_resistance, loaded)
+    error = np.where(recording.scene.broken, np.nan, error)
     # The threshold is that of `TradeoffFrame.changed_error`.
-    changed = np.abs(truth[estimates.frame] / resting - 1) > 0.05
+    changed = np.abs(loaded / resting - 1) > 0.05
     inside = [
         np.nanmedian(part[cells]) if cells.any() else np.nan
         for part, cells in zip(error, changed, strict=True)
@@ -417,17 +420,6 @@ def ladder_rows(frames: Sequence[TradeoffFrame], *names: str) -> list[study.Row]
     return study.rows_by(attrgetter("shape", "solver", *names), _row)(frames)
 
 
-def _only(names: Sequence[str]) -> str:
-    """Return the name that all have, or 'all' for several."""
-    return names[0] if len(set(names)) == 1 else "all"
-
-
-def _median(errors: Sequence[float]) -> float | None:
-    """Return the median of the finite errors; None without any."""
-    finite = [error for error in errors if np.isfinite(error)]
-    return float(np.median(finite)) if finite else None
-
-
 def _row(measured: Sequence[TradeoffFrame]) -> study.Row:
     """Return medians over frames.
 
@@ -436,15 +428,27 @@ def _row(measured: Sequence[TradeoffFrame]) -> study.Row:
     first = [frame.baseline_s + frame.seconds for frame in measured if not frame.frame]
     later = [frame.seconds for frame in measured if frame.frame]
     gaps = [frame.gap if np.isfinite(frame.gap) else np.inf for frame in measured]
+
+    def only(name: str) -> str:
+        """Return the text that all frames have, or 'all' for several."""
+        texts = {getattr(frame, name) for frame in measured}
+        return texts.pop() if len(texts) == 1 else "all"
+
+    def median(name: str) -> float | None:
+        """Return the median of the finite numbers; None without any."""
+        numbers = [getattr(frame, name) for frame in measured]
+        finite = [number for number in numbers if np.isfinite(number)]
+        return float(np.median(finite)) if finite else None
+
     return study.Row(
         **study.named_values(measured[0], "rows", "columns"),
-        recording=_only([frame.recording for frame in measured]),
-        method=_only([frame.method for frame in measured]),
+        recording=only("recording"),
+        method=only("method"),
         formulation=measured[0].solver,
         first_ms=1e3 * float(np.median(first)),
         frame_ms=1e3 * float(np.median(later)),
-        cell_error=_median([frame.cell_error for frame in measured]),
-        changed_error=_median([frame.changed_error for frame in measured]),
+        cell_error=median("cell_error"),
+        changed_error=median("changed_error"),
         gap=float(np.median(gaps)),
         worst_gap=max(gaps),
         reached=float(np.mean(np.array(gaps) <= 1e-6)),
@@ -496,9 +500,11 @@ def tradeoff_figure(rows: Sequence[study.Row]) -> Figure:
     )
     figure = new_figure(2.2 * len(sizes) + 0.8)
     grid = figure.subplots(len(sizes), 2, squeeze=False, sharex="row")
-    panels = product(sizes, FIGURES.items())
-    for axes, letter, (shape, quantity) in zip(grid.flat, ascii_lowercase, panels, strict=False):
-        _draw(axes, sizes[shape], methods, rungs, *quantity)
+    panels = product(sizes.items(), FIGURES.items())
+    for axes, letter, ((shape, of_size), quantity) in zip(
+        grid.flat, ascii_lowercase, panels, strict=False
+    ):
+        _draw(axes, of_size, methods, rungs, *quantity)
         axes.set_title(f"({letter}) {shape[0]} × {shape[1]} cells", fontsize=TEXT_POINT, loc="left")
     for axes in grid[-1]:
         axes.set_xlabel("time per frame [ms]", fontsize=TEXT_POINT)
@@ -559,14 +565,12 @@ def _draw_front(
     times, values = zip(*best, strict=True)
     axes.step(times, values, where="post", color="0.3", lw=0.9, label=f"{method}: Pareto front")
     for rung, point in places.items():
-        on_front = point in best
-        axes.plot(
-            *point, "o", ms=8, mfc="black" if on_front else "white", mec="black", mew=0.8, zorder=3
-        )
+        fill, text = ("black", "white") if point in best else ("white", "black")
+        axes.plot(*point, "o", ms=8, mfc=fill, mec="black", mew=0.8, zorder=3)
         axes.annotate(
             str(rungs.index(rung) + 1),
             point,
-            color="white" if on_front else "black",
+            color=text,
             ha="center",
             va="center_baseline",
             zorder=4,
