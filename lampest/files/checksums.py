@@ -23,6 +23,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from h5py import Dataset, File, Group
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
@@ -43,7 +44,7 @@ SWMR = 4  # flag of a superblock: other processes may read the file meanwhile
 
 
 @contextmanager
-def located(file: h5py.File, path: str) -> Iterator[None]:
+def located(file: File, path: str) -> Iterator[None]:
     """Convert any exception of the library about a damaged object into an InputError.
 
     The InputError names the object.
@@ -137,29 +138,27 @@ def attribute(node: Any, name: str, path: bytes = b".") -> NDArray[Any] | None:
     return data
 
 
-def set_digests(dataset: h5py.Dataset, values: Any) -> None:
+def set_digests(dataset: Dataset, values: Any) -> None:
     """Write the digests of a dataset's values next to it, block by block: by chunks, or as a whole.
 
     `values` are all its values, or the dataset itself, whose values are then read.
     """
-    shape = dataset.shape
-    step = dataset.chunks[0] if dataset.chunks else (*shape, 1)[0]
+    length = (*dataset.shape, 1)[0]
+    step = dataset.chunks[0] if dataset.chunks else length
     entries = [
-        _entry(first, values[first : first + step] if shape else values[()])
-        for first in range(0, shape[0] if shape else 1, step)
+        _entry(first, values[first : first + step] if dataset.shape else values[()])
+        for first in range(0, length, step)
     ]
     set_attribute(dataset.id, BLOCKS, np.array(entries, dtype="S"))
 
 
-def seal(file: h5py.File) -> None:
+def seal(file: File) -> None:
     """Write the digest of all datasets of a complete file, and those that datasets lack."""
-    names = list[bytes]()
-    h5py.h5o.visit(file.id, names.append)  # in the order of `nodes_below`
     total = hashlib.sha256()
-    for name in names:
+    for name in names_below(file):  # in the order of `nodes_below`
         entries = attribute(file.id, BLOCKS, name)
         node = None if entries is not None else file[name]
-        if isinstance(node, h5py.Dataset) and node.size and not node.dtype.hasobject:
+        if isinstance(node, Dataset) and node.size and not node.dtype.hasobject:
             set_digests(node, node)
             entries = attribute(file.id, BLOCKS, name)
         if entries is not None:
@@ -167,7 +166,7 @@ def seal(file: h5py.File) -> None:
     set_attribute(file.id, DATASETS, np.asarray(np.bytes_(total.hexdigest())))
 
 
-def read_verified(dataset: h5py.Dataset, part: slice = slice(None)) -> Any:
+def read_verified(dataset: Dataset, part: slice = slice(None)) -> Any:
     """Return the values of a dataset, or a part of its first axis.
 
     Raises ValueError if they differ from a digest. The blocks that contain the part are read as a
@@ -181,24 +180,26 @@ def read_verified(dataset: h5py.Dataset, part: slice = slice(None)) -> Any:
     return _read_blocks(dataset, _entries(dataset), part)
 
 
-def _read_blocks(dataset: h5py.Dataset, entries: dict[int, bytes], part: slice) -> Any:
+def _read_blocks(dataset: Dataset, entries: dict[int, bytes], part: slice) -> Any:
     """Return the values of a dataset with the digests `entries`, as `read_verified`."""
-    if not dataset.shape:
+    if dataset.shape:
+        begin, end, _ = part.indices(len(dataset))
+        edges = pairwise([*entries, len(dataset)])
+        inside = [(first, last) for first, last in edges if first < end and last > begin]
+        start = inside[0][0] if inside else begin
+        values = dataset[start : inside[-1][1] if inside else end]
+        blocks = {first: values[first - start : last - start] for first, last in inside}
+        values = values[begin - start : max(end, begin) - start]
+    else:
         values = dataset[()]
-        _check_block(entries, 0, np.asarray(values))
-        return values
-    length = len(dataset)
-    begin, end, _ = part.indices(length)
-    edges = [*entries, length]
-    inside = [(first, last) for first, last in pairwise(edges) if first < end and last > begin]
-    start = inside[0][0] if inside else begin
-    values = dataset[start : inside[-1][1] if inside else end]
-    for first, last in inside:
-        _check_block(entries, first, values[first - start : last - start])
-    return values[begin - start : max(end, begin) - start]
+        blocks = {0: values}
+    for first, block in blocks.items():
+        if _entry(first, block) != entries[first]:
+            raise ValueError(f"values from row {first} on and their digest differ")
+    return values
 
 
-def check_chunks(dataset: h5py.Dataset) -> None:
+def check_chunks(dataset: Dataset) -> None:
     """Raise ValueError if a dataset declares more than MAX_CHUNKS chunks.
 
     HDF5 would visit all of them.
@@ -210,7 +211,7 @@ def check_chunks(dataset: h5py.Dataset) -> None:
             raise ValueError(f"it declares {count} chunks; more than {MAX_CHUNKS} are not read")
 
 
-def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
+def verified_blocks(dataset: Dataset) -> Iterator[tuple[Any, Any]]:
     """Yield all values of a dataset by blocks, with their place.
 
     Raises ValueError if they differ from a digest, or are in too many chunks.
@@ -227,7 +228,7 @@ def verified_blocks(dataset: h5py.Dataset) -> Iterator[tuple[Any, Any]]:
         yield (), read_verified(dataset)
 
 
-def _entries(dataset: h5py.Dataset) -> dict[int, bytes]:
+def _entries(dataset: Dataset) -> dict[int, bytes]:
     """Return the entries of `BLOCKS` by the first row of their block.
 
     Raises ValueError if they are damaged.
@@ -235,11 +236,6 @@ def _entries(dataset: h5py.Dataset) -> dict[int, bytes]:
     held = dataset.attrs[BLOCKS]
     check_digest(dataset.attrs, held, BLOCKS)
     return {int(entry.partition(b":")[0]): entry for entry in np.atleast_1d(held).tolist()}
-
-
-def _check_block(entries: dict[int, bytes], first: int, values: NDArray[Any]) -> None:
-    if _entry(first, values) != entries[first]:
-        raise ValueError(f"values from row {first} on and their digest differ")
 
 
 def _entry(first: int, values: Any) -> bytes:
@@ -251,12 +247,17 @@ def _entry(first: int, values: Any) -> bytes:
     return f"{first}:{digest.hexdigest()}".encode()
 
 
-def digests_below(group: h5py.Group) -> dict[str, bytes]:
+def digests_below(group: Group) -> dict[str, bytes]:
     """Return the digests of the datasets below a group by their paths in it."""
+    entries = {name: attribute(group.id, BLOCKS, name) for name in names_below(group)}
+    return {name.decode(): held.tobytes() for name, held in entries.items() if held is not None}
+
+
+def names_below(group: Group) -> list[bytes]:
+    """Return the paths of all objects in a group, which are not opened."""
     names = list[bytes]()
     h5py.h5o.visit(group.id, names.append)
-    entries = {name.decode("utf-8"): attribute(group.id, BLOCKS, name) for name in names}
-    return {name: held.tobytes() for name, held in entries.items() if held is not None}
+    return names
 
 
 def _add_dataset(total: Any, path: str, entries: NDArray[Any]) -> None:
@@ -264,7 +265,7 @@ def _add_dataset(total: Any, path: str, entries: NDArray[Any]) -> None:
     total.update(path.encode("utf-8", "surrogateescape") + b" " + entries.tobytes())
 
 
-def check_datasets(file: h5py.File) -> None:
+def check_datasets(file: File) -> None:
     """Raise InputError if datasets were exchanged or removed, as by the header of another file.
 
     No values are read. Files of older versions have no digest of all datasets.
@@ -272,14 +273,9 @@ def check_datasets(file: h5py.File) -> None:
     total = hashlib.sha256()
     for path, node in nodes_below(file, "/"):
         with located(file, path):
-            entries = attribute(node.id, BLOCKS) if isinstance(node, h5py.Dataset) else None
+            entries = attribute(node.id, BLOCKS) if isinstance(node, Dataset) else None
         if entries is not None:
             _add_dataset(total, path, entries)
-    _check_total(file, total)
-
-
-def _check_total(file: h5py.File, total: Any) -> None:
-    """Raise InputError where the digest of all datasets is not that of the root, if it has one."""
     with located(file, f"/@{DATASETS}"):
         expected = file.attrs.get(DATASETS)
     if expected is not None and expected != total.hexdigest().encode():
@@ -288,7 +284,7 @@ def _check_total(file: h5py.File, total: Any) -> None:
         )
 
 
-def read_through(file: h5py.File) -> Integrity:
+def read_through(file: File) -> Integrity:
     """Read and verify all values of a file.
 
     Raises InputError with the path of the first damaged dataset, or if datasets were exchanged or
@@ -297,30 +293,27 @@ def read_through(file: h5py.File) -> Integrity:
     datasets = 0
     without_digest = []
     without_checksum = []
-    total = hashlib.sha256()
     for path, node in nodes_below(file, "/"):
         with located(file, path):
             for name, value in node.attrs.items():
                 check_digest(node.attrs, value, name)
             protected = h5py.h5o.get_info(node.id).hdr.version > 1
-            if isinstance(node, h5py.Dataset) and node.size:
+            if isinstance(node, Dataset) and node.size:
                 datasets += 1
                 for _ in verified_blocks(node):
                     pass
-                if BLOCKS in node.attrs:
-                    _add_dataset(total, path, np.asarray(node.attrs[BLOCKS]))
-                else:
+                if BLOCKS not in node.attrs:
                     without_digest.append(path)
                     # A digest or one of HDF5's checksums covers the values.
                     compact = node.id.get_create_plist().get_layout() == h5py.h5d.COMPACT
                     protected &= compact or node.fletcher32 or DIGEST in node.attrs
             if not protected:
                 without_checksum.append(path)
-    _check_total(file, total)
+    check_datasets(file)
     return Integrity(datasets, tuple(without_digest), tuple(without_checksum))
 
 
-def nodes_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
+def nodes_below(file: File, path: str) -> Iterator[tuple[str, Any]]:
     """Yield (path, group or dataset) of a group and of everything within it.
 
     Links to other files are not followed.
@@ -333,7 +326,7 @@ def nodes_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
         inner = f"{path.rstrip('/')}/{name}"
         with located(file, inner):
             node = file[inner]
-        if isinstance(node, h5py.Group):
+        if isinstance(node, Group):
             yield from nodes_below(file, inner)
         else:
             yield inner, node

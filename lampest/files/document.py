@@ -6,7 +6,7 @@ import io
 import json
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain, count
@@ -32,6 +32,7 @@ MAX_NUMBER = 1e30
 NO_MEASURE = f"must be zero or lie between {MIN_NUMBER:g} and {MAX_NUMBER:g}, whatever its sign"
 UNKNOWN = "no such key"
 INLINE = "inline"
+Place = tuple[int | str, ...]  # keys of mappings and indices of lists, from the outermost on
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Document:
     source: str
     marks: Any
 
-    def position(self, location: tuple[int | str, ...]) -> str:
+    def position(self, location: Place) -> str:
         """Return 'file:line:column' of the deepest part of `location` that exists in the text."""
         node = self.marks
         line = 0
@@ -67,12 +68,12 @@ class Document:
             node = node[part]
         return f"{self.source}:{line + 1}:{column + 1}"
 
-    def error(self, location: tuple[int | str, ...], message: str) -> InputError:
+    def error(self, location: Place, message: str) -> InputError:
         """Return the error of a fault at `location`, for the caller to raise.
 
         A key at which the message begins is not said twice.
         """
-        parts = [str(part) for part in location]
+        parts = [*map(str, location)]
         for depth in range(len(parts)):
             if re.match(rf"{re.escape('.'.join(parts[depth:]))}(?![\w-])", message):
                 message = ".".join([*parts[:depth], message])
@@ -102,6 +103,16 @@ class Document:
         return dataclasses.replace(self, content=content)
 
 
+def entry_at(content: Any, place: Iterable[Any]) -> Any:
+    """Return what mappings and lists hold at a place, None if there is no such place."""
+    for part in place:
+        try:
+            content = content[part]
+        except (LookupError, TypeError):
+            return None
+    return content
+
+
 def place_in(node: Any, part: str | int) -> Any:
     """Return a part of a dotted path as a key of `node`.
 
@@ -127,28 +138,23 @@ def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
             tuple(key.split(".")), parse_document(value, f"'{value}'").content
         )
     for place in (("panel", "cells"), ("scene", "panel", "cells")):
-        table = document.content
-        for part in place:
-            table = table.get(part) if isinstance(table, dict) else None
-        if isinstance(table, str):
-            document = _with_table(document, place, path.parent / table)
+        name = entry_at(document.content, place)
+        if not isinstance(name, str):
+            continue
+        table = path.parent / name
+        rows = list[list[float]]()
+        for number, line in enumerate(csv.reader(io.StringIO(_text_of(table))), start=1):
+            try:
+                row = [int(text) if text.strip().isdecimal() else float(text) for text in line]
+            except ValueError as error:
+                if number == 1:
+                    continue  # a header
+                raise document.error(
+                    place, f"{table}:{number}: {', '.join(line)} are not all numbers"
+                ) from error
+            rows += [row] if row else []
+        document = document.with_value(place, rows)
     return document
-
-
-def _with_table(document: Document, place: tuple[str, ...], path: Path) -> Document:
-    """Return the document with the table of a file at `place`."""
-    rows = list[list[float]]()
-    for number, line in enumerate(csv.reader(io.StringIO(_text_of(path))), start=1):
-        try:
-            row = [int(text) if text.strip().isdecimal() else float(text) for text in line]
-        except ValueError as error:
-            if number == 1:
-                continue  # a header
-            raise document.error(
-                place, f"{path}:{number}: {', '.join(line)} are not all numbers"
-            ) from error
-        rows += [row] if row else []
-    return document.with_value(place, rows)
 
 
 def _text_of(path: Path) -> str:
@@ -287,11 +293,7 @@ def _plain_words(message: str, content: Any, location: Sequence[Any]) -> str:
         return message
     for words, plain in PLAIN_WORDS.items():
         message = message.replace(words, plain)
-    for part in location:
-        if isinstance(content, dict):
-            content = content.get(part)
-        else:
-            content = content[part] if isinstance(part, int) else None
+    content = entry_at(content, location)
     if not isinstance(content, str | int | float):
         return message
     written = content.strip() if isinstance(content, str) and "number" in message else ""
@@ -306,7 +308,7 @@ def _plain_words(message: str, content: Any, location: Sequence[Any]) -> str:
     return f"{message}: write {float(digits) * FACTOR_OF_LETTER[label[2]]:.12g}{quoted}"
 
 
-def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[int | str, ...]]:
+def _out_of_range(content: Any, place: Place) -> Iterator[Place]:
     """Yield the places of finite, nonzero numbers outside the range of physical quantities."""
     if isinstance(content, dict):
         for key, value in content.items():
@@ -378,9 +380,13 @@ def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
         ]
     objects = [node["properties"] for node in nodes if "properties" in node]
     key = str(location[-1])
-    # Objects of another kind have another constant for a shared key.
+    # The only values of keys. Objects of another kind have another constant for a shared key.
     constants: list[Any] = [
-        {name: _constants(node) for name, node in properties.items()} for properties in objects
+        {
+            name: node.get("enum", [node["const"]] if "const" in node else [])
+            for name, node in properties.items()
+        }
+        for properties in objects
     ]
     others = chain.from_iterable(each.get("kind", ()) for each in constants if key in each)
     if named := ", ".join(others):
@@ -405,11 +411,6 @@ def _alternatives(node: Any, schema: Any) -> list[Any]:
     return [each for part in inner for each in _alternatives(part, schema)] or [node]
 
 
-def _constants(node: Any) -> Any:
-    """Return a list of the only values of a schema's node; it is empty for other nodes."""
-    return node.get("enum", [node["const"]] if "const" in node else [])
-
-
 def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str, list[Any]]:
     """Return the location of the most informative fault, and its sentence.
 
@@ -420,15 +421,14 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str, list[
     for fault in faults:
         if fault["type"] == "unexpected_keyword_argument":
             return _location(fault, content), UNKNOWN, []
-    within = _location(faults[0], content)
-    inside = [(_location(fault, content), fault) for fault in faults]
-    inside = [(place, fault) for place, fault in inside if place[: len(within)] == within]
+    places = [(_location(fault, content), fault) for fault in faults]
+    within = places[0][0]
+    inside = [(place, fault) for place, fault in places if place[: len(within)] == within]
     place, worst = max(inside, key=lambda pair: (len(pair[0]), pair[1]["type"] == "value_error"))
     if worst["type"] == "value_error":
         message = worst["msg"].removeprefix("Value error, ")
         # Keys below the place that the message names in its first word, such as readout.groups
-        for part in place:
-            content = content[part]
+        content = entry_at(content, place)
         named = []
         for key in message.split(" ", 1)[0].rstrip(":,;").split("."):
             if not isinstance(content, dict) or key not in content:
@@ -454,9 +454,8 @@ def _sentence_of(faults: Sequence[Any]) -> str:
         elif fault["type"] == "union_tag_not_found":
             sentence = "Input should be a mapping with a 'kind'"
         sentences.append(sentence)
-    first, *alternatives = dict.fromkeys(sentences)
-    others = (sentence.removeprefix("Input should be ") for sentence in alternatives)
-    return " or ".join([first, *others])
+    first, *others = dict.fromkeys(sentences)
+    return " or ".join([first, *(other.removeprefix("Input should be ") for other in others)])
 
 
 def _meant_choice(faults: Sequence[Any]) -> str:

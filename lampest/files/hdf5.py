@@ -17,6 +17,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import h5py
 import numpy as np
+from h5py import Dataset, File, Group
 from numpy.typing import NDArray
 
 from lampest.files import checksums
@@ -60,14 +61,14 @@ R = TypeVar("R")
 
 
 @contextmanager
-def new_file(path: Path) -> Iterator[h5py.File]:
+def new_file(path: Path) -> Iterator[File]:
     """Yield a new file that appears under its name once it is complete and on disk.
 
     Raises as `whole_file`.
     """
     # Built in memory: the HDF5 library may crash the process if the disk is full, Python's own
     # files do not.
-    with h5py.File(
+    with File(
         str(path), "w", libver=FORMAT, driver="core", backing_store=False, block_size=2**20
     ) as file:
         yield file
@@ -79,7 +80,7 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
 
 @contextmanager
-def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
+def new_large_file(path: Path, size: int) -> Iterator[File]:
     """Yield a new file that is too large for memory.
 
     The file is built on disk and appears once it is complete. `size` is the maximum size of the
@@ -93,13 +94,13 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
         with closing(PatientFile(unfinished)) as storage:
             if not storage.reserve(size) and storage.trouble is not None:
                 raise storage.trouble
-            with h5py.File(storage, "w", libver=FORMAT) as file:
+            with File(storage, "w", libver=FORMAT) as file:
                 yield file
                 checksums.seal(file)
 
 
 @contextmanager
-def existing_file(path: Path) -> Iterator[h5py.File]:
+def existing_file(path: Path) -> Iterator[File]:
     """Yield a file opened for reading.
 
     Raises InputError if it is missing, no HDF5 file, truncated or damaged.
@@ -149,11 +150,11 @@ def format_of(path: Path) -> str:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
+def _opened(path: Path) -> Iterator[File]:
     """Yield a file opened for reading, also if its writer was killed or is still writing."""
     with ExitStack() as stack:
         try:
-            file = h5py.File(path, "r")
+            file = File(path, "r")
         except OSError as error:
             suspected = "already open for" in str(error) or "truncated file" in str(error)
             if not suspected or not checksums.is_left_open(path):
@@ -161,7 +162,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             # While the recorder is alive, HDF5 waits (SWMR) until it has corrected a wrong
             # checksum.
             alive = is_locked(path)
-            file = h5py.File(
+            file = File(
                 path if alive else stack.enter_context(checksums.Closed(path)), "r", swmr=alive
             )
         yield stack.enter_context(file)
@@ -207,7 +208,7 @@ def set_attributes(node: Any, **attributes: Any) -> None:
 
 
 def write_dataset(
-    group: h5py.Group,
+    group: Group,
     name: str,
     data: Any,
     units: str,
@@ -222,7 +223,14 @@ def write_dataset(
     """
     data = np.asarray(data)
     if data.shape and data.size > 64:  # fewer are not worth compression
-        packing = PACKED if _shrinks(data) else UNPACKED
+        packing = PACKED
+        if data.dtype.kind == "f":
+            # A sample of real numbers shows whether compression is worth its time: above two thirds
+            # of the size, it takes twenty times the time of writing for little gain.
+            places = np.linspace(0, data.size - 1, min(data.size, SAMPLE), dtype=int)
+            sample = np.ascontiguousarray(data).reshape(-1)[places]
+            planes = sample.view(np.uint8).reshape(len(sample), -1).T.tobytes()
+            packing = PACKED if len(zlib.compress(planes, 1)) < 2 / 3 * len(planes) else UNPACKED
         dataset = group.create_dataset(name, data=data, chunks=chunk_of(data.shape), **packing)
         checksums.set_digests(dataset, data)
     else:
@@ -237,19 +245,7 @@ def chunk_of(shape: tuple[int, ...]) -> tuple[int, ...]:
     return max(1, min(shape[0], CHUNK // int(np.prod(shape[1:])))), *shape[1:]
 
 
-def _shrinks(data: NDArray[Any]) -> bool:
-    """Return whether compression of data is worth its time, judged by a sample of real numbers."""
-    if data.dtype.kind != "f":
-        return True
-    places = np.linspace(0, data.size - 1, min(data.size, SAMPLE), dtype=int)
-    sample = np.ascontiguousarray(data).reshape(-1)[places]
-    planes = sample.view(np.uint8).reshape(len(sample), -1).T.tobytes()
-    # Above two thirds of the size, compression takes twenty times the time of writing for little
-    # gain.
-    return len(zlib.compress(planes, 1)) < 2 / 3 * len(planes)
-
-
-def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
+def attach_scales(group: Group, axes: Mapping[str, tuple[str, ...]]) -> None:
     """Attach scales to the axes of datasets, given by path in the group.
 
     Every axis has a name, '' without a scale. The attributes of HDF5's specification are written at
@@ -257,8 +253,8 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
     takes as long as to write its attribute.
     """
     node = group.id
-    used = dict.fromkeys(name for path, names in axes.items() for name in (path, *names) if name)
-    places = {name: name.encode("utf-8") for name in used}
+    used = (name for path, names in axes.items() for name in (path, *names) if name)
+    places = {name: name.encode() for name in used}
     references = {
         name: h5py.h5r.create(node, place, h5py.h5r.OBJECT) for name, place in places.items()
     }
@@ -278,7 +274,7 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
         checksums.set_attribute(node, USERS, entries, kinds, places[name])
 
 
-def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
+def write_plain(group: Group, name: str, data: NDArray[Any]) -> Dataset:
     """Write an uncompressed dataset, within the metadata if it is small; also scalars."""
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)  # times would make equal contents different files
@@ -288,22 +284,21 @@ def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Datase
     links.set_create_intermediate_group(True)
     scalar = h5py.h5s.create(h5py.h5s.SCALAR)
     space = h5py.h5s.create_simple(data.shape) if data.shape else scalar
-    kind = h5py.h5t.py_create(data.dtype, logical=True)
-    node = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links)
-    dataset = h5py.Dataset(node)
+    kind = checksums.types_of(data.dtype)[0]
+    dataset = Dataset(h5py.h5d.create(group.id, name.encode(), kind, space, properties, links))
     if data.size:
         dataset[...] = data
         checksums.set_digests(dataset, data)
     return dataset
 
 
-def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: str) -> None:
+def write_scale(group: Group, name: str, data: Any, units: str, long_name: str) -> None:
     """Write a dimension scale: a one-dimensional dataset that other datasets attach."""
     write_dataset(group, name, data, units, long_name)
     group[name].make_scale(name)
 
 
-def write_text(group: h5py.Group, name: str, text: str) -> None:
+def write_text(group: Group, name: str, text: str) -> None:
     """Write a text as a fixed-length ASCII scalar."""
     write_plain(group, name, np.asarray(ascii_array(text)))
 
@@ -313,14 +308,14 @@ def _located(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
-        with checksums.located(cast(h5py.File, args[0]), str(args[1])):
+        with checksums.located(cast(File, args[0]), str(args[1])):
             return function(*args, **kwargs)
 
     return called
 
 
 @_located
-def has(file: h5py.File, path: str) -> bool:
+def has(file: File, path: str) -> bool:
     """Return whether a group or dataset exists.
 
     Raises InputError if it is damaged, or a link to another file.
@@ -329,15 +324,15 @@ def has(file: h5py.File, path: str) -> bool:
 
 
 @_located
-def shape_of(file: h5py.File, path: str) -> tuple[int, ...]:
+def shape_of(file: File, path: str) -> tuple[int, ...]:
     """Return the lengths of a dataset's axes. Raises InputError if it is absent or empty."""
-    shape = _node(file, path, h5py.Dataset).shape
+    shape = _node(file, path, Dataset).shape
     if shape is None:
         raise InputError(f"{file.filename}: {path} is missing")
     return tuple(map(int, shape))
 
 
-def length_of(file: h5py.File, path: str) -> int:
+def length_of(file: File, path: str) -> int:
     """Return the length of a dataset's first axis.
 
     Raises InputError if it is absent or has no axis.
@@ -349,7 +344,7 @@ def length_of(file: h5py.File, path: str) -> int:
 
 @_located
 def read_array(
-    file: h5py.File,
+    file: File,
     path: str,
     dimensions: int | tuple[int, ...],
     shape: tuple[int, ...] = (),
@@ -360,7 +355,7 @@ def read_array(
 
     Parameters
     ----------
-    file : h5py.File
+    file : File
     path : str
     dimensions : int or tuple of int
         Permitted numbers of dimensions.
@@ -377,10 +372,10 @@ def read_array(
         If the dataset is absent, of another shape, damaged, absurdly large, or does not fit the
         integer type.
     """
-    dataset = _node(file, path, h5py.Dataset)
+    dataset = _node(file, path, Dataset)
     requested = (dimensions,) if isinstance(dimensions, int) else dimensions
     if dataset.shape is None or dataset.ndim not in requested or dataset.dtype.kind not in "iuf":
-        numbers = " or ".join(str(number) for number in requested)
+        numbers = " or ".join(map(str, requested))
         raise InputError(f"{file.filename}: {path} must be numeric with {numbers} dimensions")
     if shape and dataset.shape != shape:
         actual, required = (" × ".join(map(str, sizes)) for sizes in (dataset.shape, shape))
@@ -408,9 +403,9 @@ def read_array(
 
 
 @_located
-def read_text(file: h5py.File, path: str) -> str:
+def read_text(file: File, path: str) -> str:
     """Return a scalar text. Raises InputError if it is absent or no text."""
-    dataset = _node_or_none(file, path, h5py.Dataset)
+    dataset = _node_or_none(file, path, Dataset)
     if dataset is None or dataset.shape != () or dataset.dtype.kind not in "SO":
         raise InputError(f"{file.filename}: {path} is missing or no text")
     if dataset.dtype.itemsize > MAX_TEXT_BYTES:
@@ -420,25 +415,26 @@ def read_text(file: h5py.File, path: str) -> str:
 
 @_located
 def read_texts(
-    file: h5py.File, path: str, length: int | None = None, part: slice = ALL
+    file: File, path: str, length: int | None = None, part: slice = ALL
 ) -> tuple[str, ...]:
     """Return a list of fixed-length texts, or a part of it.
 
     Raises InputError if the dataset is absent, of another length, or something else.
     """
-    dataset = _node_or_none(file, path, h5py.Dataset)
-    size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
-    if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind != "S":
+    dataset = _node_or_none(file, path, Dataset)
+    shape: Any = getattr(dataset, "shape", None)
+    fits = shape and not shape[1:] and length in (None, *shape)
+    if not fits or dataset.dtype.kind != "S":
         raise InputError(
             f"{file.filename}: {path} is missing or not {length or 'some'} texts of a fixed length"
         )
-    claimed = dataset.dtype.itemsize * len(range(size)[part])
+    claimed = dataset.dtype.itemsize * len(range(*shape)[part])
     if claimed > MAX_TEXT_BYTES:
         raise InputError(f"{file.filename}: {path} claims texts of {claimed} bytes")
     return tuple(map(_text, checksums.read_verified(dataset, part)))
 
 
-def read_attribute(file: h5py.File, path: str, name: str) -> Any:
+def read_attribute(file: File, path: str, name: str) -> Any:
     """Return an attribute, text as str; None if it is absent.
 
     Raises InputError if it cannot be read.
@@ -461,7 +457,7 @@ def read_attribute(file: h5py.File, path: str, name: str) -> Any:
         return _text(value) if isinstance(value, bytes | str) else value
 
 
-def read_number(file: h5py.File, path: str, name: str, otherwise: float | None = None) -> float:
+def read_number(file: File, path: str, name: str, otherwise: float | None = None) -> float:
     """Return a numeric attribute; `otherwise` if it is absent or NaN.
 
     Raises InputError if it is not finite.
@@ -476,41 +472,41 @@ def read_number(file: h5py.File, path: str, name: str, otherwise: float | None =
 
 
 @_located
-def attribute_names(file: h5py.File, path: str) -> list[str]:
+def attribute_names(file: File, path: str) -> list[str]:
     """Return the names of a node's attributes. Raises InputError if the node is absent."""
     return [str(name) for name in _node(file, path).attrs]
 
 
 @_located
-def children(file: h5py.File, path: str, kind: type[Any] = h5py.Dataset) -> list[str]:
+def children(file: File, path: str, kind: type = Dataset) -> list[str]:
     """Return the names of the datasets, or groups, in a group, alphabetically.
 
     Raises InputError if it is no group.
     """
     group = _node(file, path)
-    if not isinstance(group, h5py.Group):
+    if not isinstance(group, Group):
         raise InputError(f"{file.filename}: {path} is no group")
     return [name for name in group if _node_or_none(file, f"{path}/{name}", kind) is not None]
 
 
 @_located
-def datasets(file: h5py.File, path: str) -> dict[str, h5py.Dataset]:
+def datasets(file: File, path: str) -> dict[str, Dataset]:
     """Return all datasets below a group by their paths, without a leading slash.
 
     Links, and datasets whose values are in other files, are left out. Raises InputError if a part
     of the file is damaged.
     """
-    found: dict[str, h5py.Dataset] = {}
+    found: dict[str, Dataset] = {}
 
     def take(name: str, node: Any) -> None:
-        if isinstance(node, h5py.Dataset) and not (node.is_virtual or node.external):
+        if isinstance(node, Dataset) and not (node.is_virtual or node.external):
             found[name] = node
 
     file[path].visititems(take)  # each object once, by hard links alone
     return found
 
 
-def _node(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
+def _node(file: File, path: str, kind: type = object) -> Any:
     """Return the group or dataset at a path. Raises InputError if there is none of this kind."""
     node = _node_or_none(file, path, kind)
     if node is None:
@@ -518,23 +514,23 @@ def _node(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
     return node
 
 
-def _node_or_none(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
+def _node_or_none(file: File, path: str, kind: type = object) -> Any:
     """Return the group or dataset at a path, None if absent or of another kind.
 
     Raises InputError for links.
     """
     node: Any = file
     for part in filter(None, path.split("/")):
-        name = part.encode("utf-8")
+        name = part.encode()
         # `exists` raises for a damaged group, for which `get` would return None.
-        if not isinstance(node, h5py.Group) or not node.id.links.exists(name):
+        if not isinstance(node, Group) or not node.id.links.exists(name):
             return None
         if node.id.links.get_info(name).type != h5py.h5l.TYPE_HARD:
             raise InputError(
                 f"{file.filename}: {path} is a link, perhaps to another file, which is not followed"
             )
         node = node[part]
-    if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external):
+    if isinstance(node, Dataset) and (node.is_virtual or node.external):
         raise InputError(
             f"{file.filename}: {path} has its values in another file, which is not read"
         )

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+from h5py import Dataset, File, Group
 
 from lampest.files import checksums, hdf5
 from lampest.files.checksums import BLOCKS, located, nodes_below, read_verified, verified_blocks
@@ -45,7 +46,7 @@ class DatasetPlan(NamedTuple):
     owner: Path
 
 
-def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
+def join_parts(parts: Sequence[Path], target: Group, group: str) -> None:
     """Write the frames of one group of several files into a single group.
 
     The group of a single file is copied. Datasets without a time axis are those of the last file.
@@ -56,7 +57,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     ----------
     parts : sequence of Path
         Files in temporal order.
-    target : h5py.Group
+    target : Group
         Group that is written.
     group : str
         Path of the group in the files.
@@ -75,14 +76,14 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
                     for name in node.attrs
                     if name not in ties and not name.startswith(BLOCKS)
                 }
-                if isinstance(node, h5py.Dataset):
+                if isinstance(node, Dataset):
                     plans[path] = _planned(node, part, plans.get(path))
                 elif path:
                     target.require_group(path)
     # Create the concatenated datasets, then copy values part by part.
     joined = {path: plan for path, plan in plans.items() if plan.along and len(parts) > 1}
     for path, plan in joined.items():
-        shape = (_lengths(plans)[path.split("/", 1)[0]], *plan.shape[1:])
+        shape = (_lengths(plans)[path.split("/")[0]], *plan.shape[1:])
         fill = np.nan if plan.dtype.kind == "f" else None
         target.create_dataset(
             path, shape, plan.dtype, chunks=hdf5.chunk_of(shape), fillvalue=fill, **plan.packing
@@ -92,7 +93,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
             for path, node in _within(file, group):
                 with located(file, f"{group}/{path}"):
                     if path in joined:
-                        first = begin.get(path.split("/", 1)[0], 0)
+                        first = begin.get(path.split("/")[0], 0)
                         target[path][first : first + len(node)] = read_verified(node)
                     elif path in plans and plans[path].owner == part:
                         _copy(node, target, path)
@@ -107,23 +108,22 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
         )
 
 
-def copy_group(source: h5py.Group, target: h5py.Group, name: str) -> None:
+def copy_group(source: Group, target: Group, name: str) -> None:
     """Copy a group of another file as it is stored, packed and with the digests of its values.
 
     The values are not read, so damage is copied as well; its digests show it.
     """
-    h5py.h5o.copy(source.id, b".", target.id, name.encode("utf-8"))
+    h5py.h5o.copy(source.id, b".", target.id, name.encode())
     copied = target[name]
     # HDF5 copies references in attributes as empty ones: scales are attached anew. The few scales
     # name the datasets that use them, which takes less time than the axes of many datasets.
-    paths = list[bytes]()
-    h5py.h5o.visit(source.id, paths.append)
-    names = {h5py.h5o.open(source.id, path): path.decode("utf-8") for path in paths}
+    paths = checksums.names_below(source)
+    names = {h5py.h5o.open(source.id, path): path.decode() for path in paths}
     scales: dict[str, dict[int, str]] = {name: {} for name in names.values()}
     for node, scale in names.items():
         users = checksums.attribute(node, hdf5.USERS)
         if users is not None:
-            h5py.h5a.delete(copied.id, hdf5.USERS.encode(), obj_name=scale.encode("utf-8"))
+            h5py.h5a.delete(copied.id, hdf5.USERS.encode(), obj_name=scale.encode())
             for user, axis in users.tolist():
                 scales[names[h5py.h5r.dereference(user, source.id)]][axis] = scale
     axes = {
@@ -134,19 +134,19 @@ def copy_group(source: h5py.Group, target: h5py.Group, name: str) -> None:
     hdf5.attach_scales(copied, axes)
 
 
-def _copy(dataset: h5py.Dataset, target: h5py.Group, path: str) -> None:
+def _copy(dataset: Dataset, target: Group, path: str) -> None:
     """Write a dataset's verified values into a new one, without attributes.
 
     The new one has the same type, layout and filters. HDF5's own copy without attributes overruns
     its memory where a header holds large ones, such as digests.
     """
     like = dataset.id.get_type(), dataset.id.get_space(), dataset.id.get_create_plist()
-    copied = h5py.Dataset(h5py.h5d.create(target.id, path.encode(), *like))
+    copied = Dataset(h5py.h5d.create(target.id, path.encode(), *like))
     for place, values in verified_blocks(dataset):
         copied[place] = values
 
 
-def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:
+def _planned(dataset: Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:
     """Return the plan of a dataset extended by this part.
 
     Texts have the length of the longest one.
@@ -156,14 +156,14 @@ def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> 
         scales = tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
     first_scale = dataset.name if dataset.is_scale else (*scales, "")[0]
     along = str(first_scale).endswith(f"/{TIME}")
-    shape = dataset.shape
+    shape = tuple(dataset.shape)
     dtype = dataset.dtype
     packing = hdf5.PACKED if dataset.compression or not dataset.chunks else hdf5.UNPACKED
     if before is not None and along:
         shape = (before.shape[0] + shape[0], *shape[1:])
         packing = before.packing
         dtype = max(before.dtype, dtype, key=lambda kind: int(kind.itemsize))
-    return DatasetPlan(tuple(shape), packing, dtype, scales, bool(dataset.is_scale), along, owner)
+    return DatasetPlan(shape, packing, dtype, scales, bool(dataset.is_scale), along, owner)
 
 
 def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:
@@ -171,15 +171,11 @@ def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:
 
     An example of such a part is that of an estimator.
     """
-    times = {
-        path: plan
-        for path, plan in plans.items()
-        if path.endswith(f"/{TIME}") and path.count("/") == 1
-    }
-    return {path.split("/", 1)[0]: plan.shape[0] for path, plan in times.items()}
+    parts = ((path.split("/"), plan) for path, plan in plans.items())
+    return {names[0]: plan.shape[0] for names, plan in parts if names[1:] == [TIME]}
 
 
-def _within(file: h5py.File, group: str) -> Iterator[tuple[str, Any]]:
+def _within(file: File, group: str) -> Iterator[tuple[str, Any]]:
     """Yield (path relative to the group, node) of the group and of everything in it.
 
     Groups come before their members.

@@ -1,16 +1,28 @@
 """Type checks of arguments at construction, and unions by `kind` that installed packages extend."""
 
 import inspect
-import itertools
 import json
-import typing
 from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass, replace
-from functools import cache, cached_property, wraps
+from functools import cache, cached_property, partial, wraps
+from itertools import chain
 from math import inf
 from types import UnionType
-from typing import Annotated, Any, ClassVar, ParamSpec, Self, TypeVar, cast
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    ParamSpec,
+    Self,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +69,7 @@ class ReadOnlyArrays:
         super().__init_subclass__(**options)
         for attribute in vars(cls).values():
             if isinstance(attribute, cached_property):
-                attribute.func = _read_only_result(attribute.func)
+                attribute.func = partial(_read_only_result, attribute.func)
 
     def __post_init__(self) -> None:
         self.__setstate__(vars(self))
@@ -66,14 +78,9 @@ class ReadOnlyArrays:
         vars(self).update({name: read_only(value) for name, value in state.items()})
 
 
-def _read_only_result(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a method whose result has read-only arrays."""
-
-    @wraps(method)
-    def frozen(owner: Any) -> Any:
-        return read_only(method(owner))
-
-    return frozen
+def _read_only_result(method: Callable[[Any], Any], owner: Any) -> Any:
+    """Return the result of an object's method with read-only arrays."""
+    return read_only(method(owner))
 
 
 class Validated(ReadOnlyArrays, metaclass=Checked):
@@ -135,9 +142,8 @@ class Extensible(Completed):
         added = unknown.intersection(cls.added_keys()) if unknown else unknown
         if not added:
             return content
-        kept = {key: value for key, value in content.items() if key not in added}
-        own = tuple((key, value) for key, value in content.items() if key in added)
-        return kept | {"own": (*content.get("own", ()), *own)}
+        own = (*content.get("own", ()), *((key, content[key]) for key in content if key in added))
+        return {key: content[key] for key in content if key not in added} | {"own": own}
 
     def entry(self, key: str) -> Any:
         """Return the value of a key, also of an added one; None without it."""
@@ -186,9 +192,10 @@ def check_ranges(owner: Any, low: float, high: float, *names: str) -> None:
 
 def check_positive_fields(owner: Any, *names: str) -> None:
     """Raise ValueError unless each named field of an object is None, or positive and finite."""
-    _check_fields(
-        owner, names, lambda value: 0 < value < float("inf"), "must be positive and finite"
-    )
+    for name in names:
+        value = getattr(owner, name)
+        if value is not None and not 0 < value < inf:
+            raise ValueError(f"{name} must be positive and finite")
 
 
 def check_not_negative(owner: Any, *names: str) -> None:
@@ -196,22 +203,10 @@ def check_not_negative(owner: Any, *names: str) -> None:
 
     The fields are those of an object.
     """
-    _check_fields(
-        owner,
-        names,
-        lambda value: 0 <= value < float("inf"),
-        "must be zero or positive, and finite",
-    )
-
-
-def _check_fields(
-    owner: Any, names: Iterable[str], fits: Callable[[Any], bool], message: str
-) -> None:
-    """Raise ValueError with a message unless each named field of an object is None or fits."""
     for name in names:
         value = getattr(owner, name)
-        if value is not None and not fits(value):
-            raise ValueError(f"{name} {message}")
+        if value is not None and not 0 <= value < inf:
+            raise ValueError(f"{name} must be zero or positive, and finite")
 
 
 def real_array(values: Any, label: str) -> NDArray[Any]:
@@ -285,7 +280,7 @@ def _signature(owner: Any) -> inspect.Signature:
 def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
     """Return functions (value, label) → validated value by parameter."""
     try:
-        hints = typing.get_type_hints(owner, include_extras=True)
+        hints = get_type_hints(owner, include_extras=True)
     except NameError:  # a class in a notebook, or types that are imported for type checkers only
         return {}
     return {word: _check_of(hint) for word, hint in hints.items()}
@@ -298,14 +293,14 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any]:
     """
     parts = _alternatives(hint)
     kinds = tuple(part for part in parts if isinstance(part, type))
-    is_array = any(typing.get_origin(part) is np.ndarray for part in parts)
+    is_array = any(get_origin(part) is np.ndarray for part in parts)
     dtype = np.float64 if "float64" in str(hint) else None
     finished = _finished(parts)
     # Types of the items of the one sequence among the alternatives
     sequences = [
-        typing.get_args(part)[0]
+        get_args(part)[0]
         for part in parts
-        if typing.get_origin(part) is Sequence or typing.get_args(part)[1:] == (Ellipsis,)
+        if get_origin(part) is Sequence or get_args(part)[1:] == (Ellipsis,)
     ]
     parts_of_item = _alternatives(sequences[0]) if len(sequences) == 1 else ()
     items = _finished(parts_of_item)
@@ -353,30 +348,30 @@ def _is_plain(value: Any, parts: tuple[Any, ...]) -> bool:
 @cache
 def _words(parts: tuple[Any, ...]) -> frozenset[str]:
     """Return the texts that types list as a `Literal`."""
-    listed = [part for part in parts if typing.get_origin(part) is typing.Literal]
-    words = itertools.chain.from_iterable(map(typing.get_args, listed))
+    listed = [part for part in parts if get_origin(part) is Literal]
+    words = chain.from_iterable(map(get_args, listed))
     return frozenset(word for word in words if isinstance(word, str))
 
 
-def _finished(parts: Iterable[Any]) -> tuple[type[Any], ...]:
+def _finished(parts: Iterable[Any]) -> tuple[type, ...]:
     """Return those of the types whose objects need no validation: None, and dataclasses.
 
     Dataclasses have validated their own arguments. An object of such a type needs no schema of all
     that it contains.
     """
-    finished: list[type[Any]] = []
+    finished: list[type] = []
     for part in parts:
-        if isinstance(part, type) and (part is type(None) or is_dataclass(part)):
+        if part is type(None) or (isinstance(part, type) and is_dataclass(part)):
             finished.append(part)
-        elif typing.get_origin(part) is Annotated and isinstance(part.__metadata__[0], ByKind):
+        elif get_origin(part) is Annotated and isinstance(part.__metadata__[0], ByKind):
             finished += _finished(_alternatives(part.__origin__))
     return tuple(finished)
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
     """Return the types of a union, or the type."""
-    is_union = typing.get_origin(hint) in (typing.Union, UnionType)
-    return typing.get_args(hint) if is_union else (hint,)
+    is_union = get_origin(hint) in (Union, UnionType)
+    return get_args(hint) if is_union else (hint,)
 
 
 def _plain(value: Any, label: str) -> Any:
@@ -492,23 +487,22 @@ class ByKind:
         return getattr(value, "kind", None)
 
 
-_hints = cache(typing.get_type_hints)
+_hints = cache(get_type_hints)
 
 
 def kinds_of(member: Any) -> tuple[str, ...]:
     """Return the values of a class's `kind: Literal[...]`; () without such a field."""
-    return typing.get_args(_hints(member).get("kind"))
+    return get_args(_hints(member).get("kind"))
 
 
 def _marker(union: Any) -> ByKind:
     """Return the marker of Annotated[..., ByKind(...)]."""
-    marker: ByKind = typing.get_args(union)[1]
-    return marker
+    return cast(ByKind, get_args(union)[1])
 
 
-def _listed(union: Any) -> tuple[type[Any], ...]:
+def _listed(union: Any) -> tuple[type, ...]:
     """Return the classes that Annotated[A | B, ByKind()] lists; () where the marker names them."""
-    return () if _marker(union).members else _alternatives(typing.get_args(union)[0])
+    return () if _marker(union).members else _alternatives(get_args(union)[0])
 
 
 def shipped(union: Any) -> tuple[type[Any], ...]:
@@ -530,37 +524,30 @@ def members_of(union: Any) -> tuple[type[Any], ...]:
 
 
 @cache
-def members_by_kind(union: Any) -> dict[str, type[Any]]:
+def members_by_kind(union: Any) -> dict[str, type]:
     """Return the classes of a union by kind. Raises InputError as `members_of`."""
-    by_kind: dict[str, type[Any]] = {}
-    for member in members_of(union):
-        by_kind |= dict.fromkeys(kinds_of(member), member)
-    return by_kind
+    return {kind: member for member in members_of(union) for kind in kinds_of(member)}
 
 
-def member_of_kind(union: Any, kind: str) -> type[Any] | None:
+def member_of_kind(union: Any, kind: str) -> type | None:
     """Return the class of a union that has a kind, or None; other named members stay unloaded."""
     target = _marker(union).members.get(kind)
-    if target is not None:
-        member: type[Any] = loaded(target)
-        return member
-    return members_by_kind(union).get(kind)
+    return members_by_kind(union).get(kind) if target is None else cast(type, loaded(target))
 
 
-def _base(union: Any) -> type[Any]:
+def _base(union: Any) -> type:
     """Return the nearest class from which all members of a union derive."""
-    members = _alternatives(typing.get_args(union)[0])
-    base: type[Any] = next(
+    members: tuple[type, ...] = _alternatives(get_args(union)[0])
+    return next(
         kind for kind in members[0].__mro__ if all(issubclass(member, kind) for member in members)
     )
-    return base
 
 
-def _installed_members(union: Any) -> Iterator[type[Any]]:
+def _installed_members(union: Any) -> Iterator[type]:
     """Yield the members that installed packages add to a union."""
     marker = _marker(union)
     base = _base(union)
-    used = [*marker.members, *itertools.chain.from_iterable(map(kinds_of, _listed(union)))]
+    used = [*marker.members, *chain.from_iterable(map(kinds_of, _listed(union)))]
     for added in installed(marker.group, type) if marker.group else ():
         named = f"{marker.group}: {added.__name__} of an installed package"
         if not issubclass(added, base):

@@ -36,6 +36,8 @@ FILE_ATTRIBUTES = {
     CODE_OFFSET: 0.0,
 }
 PATH = "/entry/acquisition"
+SUMS = "raw/sums"
+ESTIMATES = "board/log_change"
 COUNTER = 2**32  # period of a board's counters and clocks, such as millis() and micros()
 # Fields of every frame: name, type, units, long name.
 FRAME_FIELDS = (
@@ -75,9 +77,9 @@ def stored_fields(circuit: Readout) -> dict[str, Dataset]:
         "recorded": (f"{group}/{signal}", "f8", unit, circuit.signal_name),
         "time": (f"{group}/time", "f8", "s", "time of the frame"),
         "role": (f"{group}/role", "u1", "1", "0 unloaded baseline, 1 measured"),
-        "raw_sums": ("raw/sums", "u2", "1", "sums of ADC codes"),
+        "raw_sums": (SUMS, "u2", "1", "sums of ADC codes"),
         "board_log_change": (
-            "board/log_change",
+            ESTIMATES,
             "f8",
             "1",
             "ln(r / r unloaded) that the board estimated",
@@ -156,16 +158,16 @@ class Acquisition(Validated):
         """
         if not hdf5.has(file, PATH):
             return None
-        kinds = {name: None if kind == "f8" else kind for name, kind, *_ in FRAME_FIELDS}
         fields: dict[str, Any] = {
-            name: hdf5.read_array(file, f"{PATH}/{name}", 1, part=part, kind=kind)
-            for name, kind in kinds.items()
+            name: hdf5.read_array(
+                file, f"{PATH}/{name}", 1, part=part, kind=None if kind == "f8" else kind
+            )
+            for name, kind, *_ in FRAME_FIELDS
         }
-        times = np.zeros(0)
-        labels = tuple[str, ...]()
-        if hdf5.has(file, f"{PATH}/event_time") and hdf5.has(file, f"{PATH}/event_label"):
-            times = hdf5.read_array(file, f"{PATH}/event_time", 1).astype(float)
-            labels = hdf5.read_texts(file, f"{PATH}/event_label")
+        if not (hdf5.has(file, f"{PATH}/event_time") and hdf5.has(file, f"{PATH}/event_label")):
+            return cls(**fields, event_time=np.zeros(0))
+        times = hdf5.read_array(file, f"{PATH}/event_time", 1).astype(float)
+        labels = hdf5.read_texts(file, f"{PATH}/event_label")
         events = min(len(times), len(labels))
         return cls(**fields, event_time=times[:events], event_label=labels[:events])
 
@@ -205,21 +207,18 @@ class Rows(NamedTuple):
     @classmethod
     def of_file(cls, file: h5py.File, circuit: Readout) -> "Rows":
         """Return the datasets of a growing file with a row for every frame."""
-        held = {
-            field: hdf5.has(file, f"/entry/{path}")
-            for field, (path, *_) in stored_fields(circuit).items()
-        }
-        return cls.of_frames(circuit, sums=held["raw_sums"], estimates=held["board_log_change"])
+        sums, estimates = (hdf5.has(file, f"/entry/{path}") for path in (SUMS, ESTIMATES))
+        return cls.of_frames(circuit, sums=sums, estimates=estimates)
 
     @property
     def sums(self) -> bool:
         """Whether the board sends sums of codes."""
-        return any(path == "raw/sums" for path, *_ in self.datasets)
+        return any(SUMS in dataset for dataset in self.datasets)
 
     @property
     def estimates(self) -> bool:
         """Whether the board estimates cells."""
-        return any(path == "board/log_change" for path, *_ in self.datasets)
+        return any(ESTIMATES in dataset for dataset in self.datasets)
 
     def append(self, file: h5py.File, values: Sequence[Sequence[Any] | NDArray[Any]]) -> None:
         """Append rows to all datasets, and then their checksums, once the rows are in the file.

@@ -12,17 +12,17 @@ from math import prod
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
+from h5py import File
 from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.checksums import check_datasets
-from lampest.files.document import parse_document
+from lampest.files.document import entry_at, parse_document
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.panel.effects import SERIES
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Panel
 from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.scene import Scene, validated_scene
 from lampest.recording.acquisition import (
@@ -40,7 +40,7 @@ SIMULATION = "/entry/truth/simulation"
 
 
 @contextmanager
-def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
+def recording_file(path: Path) -> Iterator[tuple[File, Scene, str, str]]:
     """Yield an open recording file, its scene, the group of its frames and their signal.
 
     Raises InputError if the file is no recording, or has no valid scene.
@@ -75,21 +75,21 @@ def _scene_of(text: str, where: str) -> Scene:
     Raises InputError, with the place `where`, for an invalid scene.
     """
     document = parse_document(text, where)
-    errors = document.content.get("systematic") if isinstance(document.content, dict) else None
+    errors = entry_at(document.content, ("systematic",))
     if isinstance(errors, dict) and FORMER_SERIES in errors:
         renamed = {SERIES if key == FORMER_SERIES else key: value for key, value in errors.items()}
         document = document.with_value(("systematic",), renamed)
     return validated_scene(document)
 
 
-def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
+def read_frames(file: File, scene: Scene, part: slice) -> dict[str, Any]:
     """Return the fields of a `Recording` that its file holds, by name.
 
     Frames without times are a second apart.
 
     Parameters
     ----------
-    file : h5py.File
+    file : File
     scene : Scene
     part : slice
         Frames of a finished file; all: those that are not damaged.
@@ -133,7 +133,7 @@ def read_frames(file: h5py.File, scene: Scene, part: slice) -> dict[str, Any]:
     return held
 
 
-def read_raw_readings(file: h5py.File) -> int:
+def read_raw_readings(file: File) -> int:
     """Return the number of codes in each sum; 0 without it.
 
     Raises InputError unless it is a whole number of 16 bits.
@@ -146,21 +146,6 @@ def read_raw_readings(file: h5py.File) -> int:
             f"not {number:g}"
         )
     return int(number)
-
-
-def create_frames_group(
-    entry: h5py.Group, name: str, signal: str, panel: Panel, time: Array
-) -> h5py.Group:
-    """Return a new group of frames with the coordinates time in s, rows and columns of a panel."""
-    group = entry.create_group(name)
-    hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=["time", "row", "column"])
-    hdf5.write_scale(group, "time", time, "s", "time of the frame")
-    for coordinate, (axes, values, units, long_name) in coordinates(panel).items():
-        if (coordinate,) == axes:
-            hdf5.write_scale(group, coordinate, values, units, long_name)
-        else:
-            hdf5.write_dataset(group, coordinate, values, units, long_name, axes)
-    return group
 
 
 def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:

@@ -16,6 +16,8 @@ from lampest.panel.panel import Array, Mask, Modules, Numbers, beyond_any_panel,
 from lampest.panel.readouts.converter import constant_share
 from lampest.panel.scene import Scene
 
+CELL_AXES = (-2, -1)  # of arrays (…, rows, columns)
+
 
 class Sidedness(float, Enum):
     """Side on which a reading bounds the true value, as entries of `Readings.side`."""
@@ -164,14 +166,14 @@ class Readings(ReadOnlyArrays):
         check_sigma(scene, recorded, sigma)
         if scene.panel.modules is not None:
             return cls._of_modules(scene, scene.panel.modules, recorded, sigma)
+        # What a converter without memory rounds is a part of its own noise.
+        rounds = scene.readout if sigma is None and scene.known_memory is None else None
         # Rails and infinite values are bounds; memory of the converter is removed from the values.
-        within, side = _within_rails(scene, recorded)
-        if scene.known_memory is not None:
-            within, side, sigma = _without_channel_before(
-                scene, scene.known_memory, within, side, sigma
-            )
+        within, side, sigma = _without_memory(scene, recorded, sigma)
         # Readings of the network; missing and blind ones have no weight.
-        noise = _noise(scene, within, sigma)
+        noise = None
+        if sigma is not None:
+            noise = scene.circuit.sigma_of_reading(within, np.broadcast_to(sigma, within.shape))
         network = scene.circuit.from_recorded(within, scene)
         side = side * nominal_terminations(scene.circuit).sign
         seen = np.where(np.isnan(recorded), 0.0, 1.0)
@@ -191,9 +193,7 @@ class Readings(ReadOnlyArrays):
         if noise is None:
             return cls(value, None, side, seen)
         filled = _filled(noise, seen)
-        constant = None
-        if sigma is None and scene.readout is not None:
-            constant = filled * constant_share(scene.readout)
+        constant = None if rounds is None else filled * constant_share(rounds)
         return cls(value, filled, side, seen, constant)
 
     def without(self, omitted: Mask) -> "Readings":
@@ -225,9 +225,12 @@ class Readings(ReadOnlyArrays):
 
     def each(self, change: Callable[[Array], Array]) -> "Readings":
         """Return the readings with a function such as `layout.split` applied to all arrays."""
-        sigma = None if self.sigma is None else change(self.sigma)
-        constant = None if self.constant is None else change(self.constant)
-        return Readings(change(self.value), sigma, change(self.side), change(self.seen), constant)
+        arrays: Any = [None if part is None else change(part) for part in self._arrays]
+        return Readings(*arrays)
+
+    @property
+    def _arrays(self) -> tuple[Any, ...]:
+        return self.value, self.sigma, self.side, self.seen, self.constant
 
     def of_module(self, layout: Modules, number: int) -> "Readings":
         """Return the readings of one module of the image."""
@@ -246,12 +249,12 @@ class Readings(ReadOnlyArrays):
 
         The stack has no σ if a frame has none, and no constant part of it.
         """
-
-        def stacked(name: str) -> Any:
-            arrays = [getattr(part, name) for part in (self, *frames)]
-            return None if any(array is None for array in arrays) else np.stack(arrays, axis)
-
-        return Readings(*map(stacked, ("value", "sigma", "side", "seen", "constant")))
+        stacks = zip(self._arrays, *(part._arrays for part in frames), strict=True)
+        arrays: Any = [
+            None if any(part is None for part in stack) else np.stack(stack, axis)
+            for stack in stacks
+        ]
+        return Readings(*arrays)
 
     def __getitem__(self, frames: Any) -> "Readings":
         """Return the readings at an index of the arrays, such as a range of frames."""
@@ -290,9 +293,9 @@ class Readings(ReadOnlyArrays):
         requested = scene.requested
         lines = int(requested.any(axis=1).sum() + requested.any(axis=0).sum())
         least = min(-(-int(requested.sum()) // 2), lines - 1)
-        missing = ((self.seen == 0) & requested).sum(axis=(-2, -1))
+        missing = ((self.seen == 0) & requested).sum(axis=CELL_AXES)
         return np.asarray(
-            ((self.plain & requested).sum(axis=(-2, -1)) >= least)
+            ((self.plain & requested).sum(axis=CELL_AXES) >= least)
             & (2 * missing <= requested.sum())
         )
 
@@ -338,7 +341,7 @@ class Readings(ReadOnlyArrays):
         )
         undecided = is_bound & (side == Sidedness.VALUE)
         seen = np.where((value | bound).any(axis=0) & ~undecided, 1.0, 0.0)
-        mean = _standing_in(np.where(is_bound, of_all, of_values), side, seen)
+        mean = _standing_in(np.where(is_bound, of_all, of_values), side, seen, seen)
         if deviation is None or deviation_of_all is None:
             return Readings(mean, None, side, seen)
         sigma = np.where(is_bound, deviation_of_all, deviation)
@@ -389,8 +392,8 @@ def mean_change(value: Array, resting: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.abs(np.log(value / resting))
     finite = np.isfinite(change)
-    total = change.sum(axis=(-2, -1), where=finite)
-    return np.asarray(total / np.maximum(finite.sum(axis=(-2, -1)), 1))
+    total = change.sum(axis=CELL_AXES, where=finite)
+    return np.asarray(total / np.maximum(finite.sum(axis=CELL_AXES), 1))
 
 
 def strongest_frame(value: Array, resting: Array, frames: Numbers) -> int:
@@ -410,7 +413,7 @@ def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str =
     """
     shape = scene.panel.shape
     if recorded.shape[-2:] != shape:
-        size = " × ".join(str(length) for length in recorded.shape)
+        size = " × ".join(map(str, recorded.shape))
         raise InputError(
             f"{where}the readings are {size}, but the scene's panel is {shape[0]} × {shape[1]}"
         )
@@ -425,43 +428,36 @@ def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str =
             "which no electronics has"
         )
     if np.any(sigma <= 0):
-        index = tuple(int(part) for part in np.argwhere(sigma <= 0)[0])
+        index = tuple(np.argwhere(sigma <= 0)[0].tolist())
         raise InputError(
             f"{where}sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; "
             "it must be positive"
         )
 
 
-def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
-    """Return σ of the network's readings from the given one, or from the readout's, or None."""
-    if sigma is not None:
-        return scene.circuit.sigma_of_reading(recorded, np.broadcast_to(sigma, recorded.shape))
-    if scene.readout is None:
-        return None
-    return scene.readout.sigma_of_reading(recorded, scene.readout.sigma(recorded))
-
-
-def _without_channel_before(
-    scene: Scene, memory: float, recorded: Array, side: Array, sigma: Array | None
-) -> tuple[Array, Array, Array]:
+def _without_memory(
+    scene: Scene, recorded: Array, sigma: Array | None
+) -> tuple[Array, Array, Array | None]:
     """Return recorded values without the converter's memory of other channels.
 
     Returns
     -------
     recorded, side, sigma : array, shape of `recorded`
-        Values within the rails, the sides of bounds, and standard deviations.
+        Values within the rails, the sides of bounds, and standard deviations, None if unknown.
     """
-    from lampest.panel.readouts.channel_memory import (
-        without_memory,  # for a converter that remembers
-    )
+    within, side = _within_rails(scene, recorded)
+    if sigma is None and scene.readout is not None:
+        sigma = scene.readout.sigma(within)
+    if scene.known_memory is None:
+        return within, side, sigma
+    from lampest.panel.readouts.channel_memory import without_memory  # for this key alone
 
-    if scene.readout is None:
+    if scene.readout is None or sigma is None:
         raise InputError(
             "converter_memory needs a readout in the scene, of whose voltages it is a fraction"
         )
-    noise = scene.readout.sigma(recorded) if sigma is None else sigma
-    noise = np.broadcast_to(noise, recorded.shape)
-    corrected, sigma = without_memory(scene.readout, memory, recorded, noise)
+    noise = np.broadcast_to(sigma, recorded.shape)
+    corrected, sigma = without_memory(scene.readout, scene.known_memory, within, noise)
     within, beyond = _within_rails(scene, corrected)
     return within, np.where(side == Sidedness.VALUE, beyond, side), sigma
 
@@ -496,19 +492,19 @@ def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
     frame without any finite number.
     """
     is_number = (seen > 0) & np.isfinite(network) & (network > 0)
-    largest = np.max(network, axis=(-2, -1), keepdims=True, initial=0.0, where=is_number)
-    smallest = np.min(network, axis=(-2, -1), keepdims=True, initial=np.inf, where=is_number)
+    largest = np.max(network, axis=CELL_AXES, keepdims=True, initial=0.0, where=is_number)
+    smallest = np.min(network, axis=CELL_AXES, keepdims=True, initial=np.inf, where=is_number)
     network = np.where(is_number, network, np.where(network > 0, largest, smallest))
-    return network, np.where(is_number.any(axis=(-2, -1), keepdims=True), seen, 0.0)
+    return network, np.where(is_number.any(axis=CELL_AXES, keepdims=True), seen, 0.0)
 
 
-def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = None) -> Array:
+def _standing_in(value: Array, side: Array, whole: Array, seen: Array) -> Array:
     """Return frames with predictions from the seen values where `whole` is 0."""
     if np.all(whole):
         return value
-    known = ((whole if seen is None else seen) > 0) & (side == Sidedness.VALUE)
+    known = (seen > 0) & (side == Sidedness.VALUE)
     predicted = value.copy()
-    with_holes = ~np.all(whole > 0, axis=(-2, -1))
+    with_holes = ~np.all(whole > 0, axis=CELL_AXES)
     predicted[with_holes] = stand_in(value[with_holes], known[with_holes])
     return np.where(whole > 0, value, predicted)
 
@@ -519,8 +515,8 @@ def _filled(values: Array, seen: Array) -> Array:
     1 if all of a frame are missing.
     """
     logarithm = np.log(np.where(seen > 0, values, 1.0))
-    count = np.maximum(seen.sum(axis=(-2, -1), keepdims=True), 1)
-    mean = np.exp((logarithm * seen).sum(axis=(-2, -1), keepdims=True) / count)
+    count = np.maximum(seen.sum(axis=CELL_AXES, keepdims=True), 1)
+    mean = np.exp((logarithm * seen).sum(axis=CELL_AXES, keepdims=True) / count)
     return np.where(seen > 0, values, mean)
 
 

@@ -16,7 +16,7 @@ from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Numbers, Panel, as_panels_have
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import FILE_ATTRIBUTES, Acquisition, group_of, stored_fields
-from lampest.recording.file import create_frames_group, read_frames, recording_file
+from lampest.recording.file import coordinates, read_frames, recording_file
 from lampest.recording.readings import Readings, check_sigma, mean_change, strongest_frame
 
 UNLOADED = 0
@@ -148,10 +148,11 @@ class Recording(Validated):
             return
         series = float(np.min(self.scene.series_ohm))
         code = circuit.code_from_volt(circuit.volt_from_recorded(np.array(1000 * np.median(valid))))
-        stuck = valid.min() == valid.max()  # at the converter's rail: a module without contact
-        if not stuck and valid.max() < series and 8 <= code < 2**circuit.adc_bits - 8:
+        largest = valid.max()
+        stuck = valid.min() == largest  # at the converter's rail: a module without contact
+        if not stuck and largest < series and 8 <= code < 2**circuit.adc_bits - 8:
             raise InputError(
-                f"{self.name}: {self.path} is at most {valid.max():.4g} ohm, "
+                f"{self.name}: {self.path} is at most {largest:.4g} ohm, "
                 f"less than the {series:.4g} ohm in series; are these kohm?"
             )
 
@@ -391,7 +392,15 @@ class Recording(Validated):
                 continue
             group = entry.get(name)
             if group is None:
-                group = create_frames_group(entry, name, signal, self.scene.panel, self.time)
+                group = entry.create_group(name)
+                lines = ["time", "row", "column"]
+                hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=lines)
+                hdf5.write_scale(group, "time", self.time, "s", "time of the frame")
+                for place, (along, at, unit, words) in coordinates(self.scene.panel).items():
+                    if (place,) == along:
+                        hdf5.write_scale(group, place, at, unit, words)
+                    else:
+                        hdf5.write_dataset(group, place, at, unit, words, along)
             meanings: dict[str, Any] = flags if field == "role" else {}
             hdf5.write_dataset(
                 group, signal, values.astype(kind), units, long_name, axes[values.ndim], **meanings
@@ -411,15 +420,14 @@ class Recording(Validated):
             return (self,)
         names = set(stored_fields(self.scene.circuit)) - {"time", "role"}
         maps = {name: values for name in names if (values := getattr(self, name)) is not None}
-        cells = [(..., *layout.cells(number)) for number in range(layout.count)]
         return tuple(
             replace(
                 self,
                 scene=scene,
                 of_module=True,
-                **{name: column[inside] for name, column in maps.items()},
+                **{name: values[(..., *layout.cells(number))] for name, values in maps.items()},
             )
-            for inside, scene in zip(cells, self.scene.of_modules, strict=True)
+            for number, scene in enumerate(self.scene.of_modules)
         )
 
     def readings(self) -> Readings:

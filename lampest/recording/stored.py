@@ -64,12 +64,8 @@ class StoredRecording:
                     raise InputError(
                         f"{path}: {axis} does not have one value for each of the {shape[0]} frames"
                     )
-        return cls(
-            path,
-            scene,
-            shape[0] if end is None else end,
-            Recording.load(path, slice(0, 1)).start_time,
-        )
+        start_time = Recording.load(path, slice(0, 1)).start_time
+        return cls(path, scene, shape[0] if end is None else end, start_time)
 
     @property
     def name(self) -> str:
@@ -86,12 +82,9 @@ class StoredRecording:
         """Roles of the frames; measured where the file has none."""
         with hdf5.existing_file(self.path) as file:
             path = f"/entry/{group_of(self.scene.circuit)}/role"
-            known = hdf5.has(file, path)
-            return (
-                hdf5.read_array(file, path, 1, part=slice(0, self.frames))
-                if known
-                else np.ones(self.frames)
-            )
+            if hdf5.has(file, path):
+                return np.asarray(hdf5.read_array(file, path, 1, part=slice(0, self.frames)))
+        return np.ones(self.frames)
 
     @cached_property
     def blocks(self) -> tuple[range, ...]:

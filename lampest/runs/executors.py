@@ -125,10 +125,8 @@ class Processes(Executor):
         waiting = deque(range(len(arguments)))
         deaths = Counter[int]()
         with ExitStack() as stack:
-            idle = [
-                stack.enter_context(Worker())
-                for _ in range(min(self.workers or cores(), len(arguments)))
-            ]
+            workers = min(self.workers or cores(), len(arguments))
+            idle = [stack.enter_context(Worker()) for _ in range(workers)]
             busy: dict[Worker, int] = {}
             while waiting or busy:
                 while waiting and idle:
@@ -255,7 +253,15 @@ class Dask(Executor):
                 }
                 for future in distributed.as_completed(list(numbers), loop=client.loop):
                     number = numbers.pop(future)
-                    outcome = _outcome(distributed, client, future)
+                    try:
+                        outcome = future.result()
+                    except distributed.CancelledError as error:
+                        raise LostError(
+                            f"the Dask scheduler {client.scheduler.address} is gone"
+                        ) from error
+                    except Exception as error:
+                        outcome = error
+                    future.release()
                     if not isinstance(outcome, distributed.KilledWorker):
                         yield arguments[number], outcome
                     # Dask attributes the death of a worker to all of its tasks: try each alone
@@ -310,18 +316,6 @@ class Dask(Executor):
                 # 2026.8).
                 with suppress(TimeoutError):
                     client.wait_for_workers(workers, timeout=self.wait_s)
-
-
-def _outcome(distributed: Any, client: Any, future: Any) -> Any:
-    """Return the result or the exception of a finished call. Raises LostError."""
-    try:
-        return future.result()
-    except distributed.CancelledError as error:
-        raise LostError(f"the Dask scheduler {client.scheduler.address} is gone") from error
-    except Exception as error:
-        return error
-    finally:
-        future.release()
 
 
 def dask_setup(worker: Any) -> None:

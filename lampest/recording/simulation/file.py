@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from lampest.files.document import Document, read_document, validated
+from lampest.files.document import Document, Place, entry_at, read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.files.sweep import combinations
@@ -102,13 +102,12 @@ def simulation_of(document: Document) -> Simulation:
 
     Raises InputError as `validated`.
     """
-    content = document.content
+    written = entry_at(document.content, ("scene",))
     own_keys: tuple[tuple[str, Any], ...] = ()
-    if isinstance(content, dict) and isinstance(content.get("scene"), dict):
+    if isinstance(written, dict):
         marks = document.marks.get("scene", document.marks)
-        scene = replace(document, content=content["scene"], marks=marks)
-        scene, own_keys = without_own_keys(scene)
-        document = replace(document, content=content | {"scene": scene.content})
+        scene, own_keys = without_own_keys(replace(document, content=written, marks=marks))
+        document = replace(document, content=document.content | {"scene": scene.content})
     simulation: Simulation = validated(document, Simulation)
     if not own_keys:
         return simulation
@@ -120,12 +119,11 @@ def _drawn(document: Document) -> Document:
 
     Raises InputError.
     """
-    content = document.content
-    seed = content.get("seed") if isinstance(content, dict) else None
+    seed = entry_at(document.content, ("seed",))
     if type(seed) is not int or seed < 0:
         return document
 
-    def walk(node: Any, place: tuple[int | str, ...]) -> Any:
+    def walk(node: Any, place: Place) -> Any:
         if isinstance(node, list):
             return [walk(item, (*place, index)) for index, item in enumerate(node)]
         if not isinstance(node, dict):
@@ -140,7 +138,7 @@ def _drawn(document: Document) -> Document:
             )
         return round(float(random_stream(seed, ".".join(map(str, place))).uniform(*bounds)), 6)
 
-    return replace(document, content=walk(content, ()))
+    return replace(document, content=walk(document.content, ()))
 
 
 def _filled(

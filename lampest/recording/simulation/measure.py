@@ -174,12 +174,8 @@ def measured(
 
     Parameters
     ----------
-    scene : Scene
     cells : array, shape (frames, rows, columns)
         True cells in ohm.
-    unmodelled : Unmodelled
-    seed : int
-        Seed of all random numbers.
     period_s : float
         Time between frames in s.
     scanned : sequence of array
@@ -204,11 +200,18 @@ def measured(
     total = _exact_readings(actual, scene, unmodelled, seed, period_s, scanned or [cells])
     if scene.readout is None:
         return total, None
-    volt = _at_converter(actual, scene, total, unmodelled, seed, period_s)
+    volt = actual.volt_from_recorded(total)
+    if scene.known_memory is not None:
+        volt = with_memory(actual, scene.known_memory, volt)
+    for listed in LISTED:
+        sizes = [getattr(unmodelled, name) for name in listed.at_converter]
+        if sizes and sizes[0]:
+            effect = loaded(listed.path)()
+            random = random_stream(seed, effect.stream)
+            volt = effect.disturbed(actual, volt, random, period_s, *sizes)
     sums = sums_of_codes(actual, volt, unmodelled, seed, on_frame)
-    return scene.readout.recorded_from_volt(
-        scene.readout.volt_from_code(sums / scene.readout.readings)
-    ), sums
+    mean_volt = scene.readout.volt_from_code(sums / scene.readout.readings)
+    return scene.readout.recorded_from_volt(mean_volt), sums
 
 
 def _exact_readings(
@@ -239,22 +242,6 @@ def _exact_readings(
     return total
 
 
-def _at_converter(
-    actual: Readout, scene: Scene, total: Array, unmodelled: Unmodelled, seed: int, period_s: float
-) -> Array:
-    """Return voltages at the converter, with its memory and effects beyond the scene."""
-    volt = actual.volt_from_recorded(total)
-    if scene.known_memory is not None:
-        volt = with_memory(actual, scene.known_memory, volt)
-    for listed in LISTED:
-        sizes = [getattr(unmodelled, name) for name in listed.at_converter]
-        if sizes and sizes[0]:
-            effect = loaded(listed.path)()
-            random = random_stream(seed, effect.stream)
-            volt = effect.disturbed(actual, volt, random, period_s, *sizes)
-    return volt
-
-
 def _measured_modules(
     scene: Scene,
     layout: Modules,
@@ -273,9 +260,8 @@ def _measured_modules(
         inside = (..., *layout.cells(number))
         drawn = int(random_stream(seed, f"module {number}").integers(2**63))
         travelling = [part[inside] for part in scanned]
-        modules.append(
-            measured(module_scene, cells[inside], unmodelled, drawn, period_s, travelling)
-        )
+        own = cells[inside]
+        modules.append(measured(module_scene, own, unmodelled, drawn, period_s, travelling))
     recorded = np.stack([values for values, _ in modules], axis=-3)
     recorded[..., list(scene.dead_modules), :, :] = np.nan
     codes = [sums for _, sums in modules if sums is not None]
@@ -313,8 +299,7 @@ def _read(
     recorded = simulated(actual, cells, scene, *channels)
     if unmodelled.contact_ohm:
         channels = _channel_errors(scene, unmodelled, seed, late=True)
-        late = simulated(actual, cells, scene, *channels)
-        recorded[begin:] = late[begin:]
+        recorded[begin:] = simulated(actual, cells, scene, *channels)[begin:]
     at_lines = [
         loaded(listed.path).simulated(size, *scene.panel.shape)
         for listed in LINE_EFFECTS
@@ -384,7 +369,7 @@ def sums_of_codes(
     noise = random_stream(seed, "noise")
     outliers = random_stream(seed, "outliers")
     factor = unmodelled.noise_factor
-    sigma = noise_volt(readout) * (1.0 if factor is None else factor)
+    sigma = noise_volt(readout) if factor is None else factor * noise_volt(readout)
     sums = np.zeros(volt.shape, dtype=np.int64)
     for frame, exact in enumerate(volt):
         for first in range(0, readout.readings, 64):  # 64 conversions at once

@@ -396,18 +396,16 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
         return ratio_from_pressure(pressure, response) ** response.gains
     water = water_pressure(scene.panel, simulation.water or scene.water)
 
-    def strength(name: str, value: float | Literal["auto"], most: float) -> Array:
-        assert value != "auto"
+    def strength(name: str, key: str) -> Array:
         stream = random_stream(simulation.seed, f"film {name}")
         # A factor of all cells with the film's deviation, and one of each cell with its spread.
         shared = stream.standard_normal()
         individual = stream.standard_normal(water.shape)
-        return np.minimum(
-            value * np.exp(film.deviation * shared + film.cell_spread * individual), most
-        )
+        factor = np.exp(film.deviation * shared + film.cell_spread * individual)
+        return np.asarray(np.minimum(getattr(film, key) * factor, film.most[key]))
 
-    hysteresis = strength("hysteresis", film.hysteresis, film.most["hysteresis"])
-    creep = strength("creep", film.creep_per_decade, film.most["creep_per_decade"])
+    hysteresis = strength("hysteresis", "hysteresis")
+    creep = strength("creep", "creep_per_decade")
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
     at_rest = applications().required("film", "a film at rest", "film")
     memory = at_rest(hysteresis, creep, gain, water, response)
