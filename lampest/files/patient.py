@@ -58,7 +58,7 @@ class PatientFile(io.RawIOBase):
         needed = self._end + size
         for end in (needed + AHEAD, needed) if needed > self._reserved else ():
             try:
-                os.posix_fallocate(self._descriptor, self._reserved, end - self._reserved)
+                _allocate(self._descriptor, self._reserved, end)
             except OSError as error:
                 self.trouble = error
             else:
@@ -148,3 +148,12 @@ class PatientFile(io.RawIOBase):
         super().close()
         if not complete and self.trouble is not None:
             raise self.trouble
+
+
+def _allocate(descriptor: int, begin: int, end: int) -> None:
+    """Reserve the bytes from `begin` to `end` of a file. Raises OSError if the disk has no room."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(descriptor, begin, end - begin)
+        return
+    while begin < end:  # systems without that call
+        begin += os.pwrite(descriptor, bytes(min(AHEAD, end - begin)), begin)

@@ -396,7 +396,7 @@ class Scene(Configuration):
     @property
     def known_memory(self) -> float | None:
         """`converter_memory` if it is a number; None otherwise."""
-        return plain_size(self.converter_memory)
+        return None if isinstance(self.converter_memory, str) else self.converter_memory
 
     @property
     def common_change(self) -> tuple[float, float]:

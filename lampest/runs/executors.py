@@ -253,15 +253,7 @@ class Dask(Executor):
                 }
                 for future in distributed.as_completed(list(numbers), loop=client.loop):
                     number = numbers.pop(future)
-                    try:
-                        outcome = future.result()
-                    except distributed.CancelledError as error:
-                        raise LostError(
-                            f"the Dask scheduler {client.scheduler.address} is gone"
-                        ) from error
-                    except Exception as error:
-                        outcome = error
-                    future.release()
+                    outcome = _outcome(distributed, client, future)
                     if not isinstance(outcome, distributed.KilledWorker):
                         yield arguments[number], outcome
                     # Dask attributes the death of a worker to all of its tasks: try each alone
@@ -316,6 +308,18 @@ class Dask(Executor):
                 # 2026.8).
                 with suppress(TimeoutError):
                     client.wait_for_workers(workers, timeout=self.wait_s)
+
+
+def _outcome(distributed: Any, client: Any, future: Any) -> Any:
+    """Return the result or the exception of a finished call. Raises LostError."""
+    try:
+        return future.result()
+    except distributed.CancelledError as error:
+        raise LostError(f"the Dask scheduler {client.scheduler.address} is gone") from error
+    except Exception as error:
+        return error
+    finally:
+        future.release()
 
 
 def dask_setup(worker: Any) -> None:
