@@ -31,7 +31,6 @@ from lampest.inference.estimated import about_recordings
 from lampest.runs.case import StoredCase
 from lampest.runs.checks import (
     CASES,
-    Checks,
     CheckTask,
     RecordingCheck,
     check_folder,
@@ -130,121 +129,192 @@ def run_batch(
     with exclusive(folder), sparing({case.path for case in run.cases}):
         own(folder / RESULTS)
         own(folder / CASES)
-        tasks = [Task(case, folder.absolute(), run.check == "all") for case in run.cases]
-        checks = _checks(tasks)
-        _clear(folder, tasks, fresh=fresh)
-        for check in checks if fresh else ():
-            check.forget()
-        checked = {check.recording: check.kept() for check in checks}
-        to_check = [check for check in checks if checked[check.recording] is None]
-        finished = _results(tasks)
-        waiting = [task for task in tasks if task.file not in finished]
-        failed: list[tuple[str, str]] = []
-        solved = {task.file: dict[int, Sequence[Step]]() for task in waiting}
-        lost = ""
-        if to_check:
-            on_checks(0, len(to_check))
+        batch = _Batch(run, folder, fresh=fresh)
+        if batch.to_check:
+            on_checks(0, len(batch.to_check))
         try:
-            outcomes = _outcomes(executor, waiting, to_check, solved)
+            outcomes = batch.outcomes(executor)
             workers = cores() if executor.concurrent else 1
-            with _counted(waiting, on_frames, workers), closing(outcomes):
+            with _counted(batch.waiting, on_frames, workers), closing(outcomes):
                 for task, outcome in outcomes:
-                    if isinstance(outcome, BaseException):
-                        check_folder(folder / CASES)
+                    batch.take(task, outcome)
                     if isinstance(task, CheckTask):
-                        checked[task.recording] = outcome
-                        unfinished = sum(check is None for check in checked.values())
-                        on_checks(len(to_check) - unfinished, len(to_check))
-                    elif isinstance(outcome, BaseException):
-                        name = f"{task.case.recording} × {task.case.name}"
-                        failed.append((name, logged_reason(outcome, name)))
-                    else:
-                        finished[task.file] = outcome
+                        unfinished = sum(check is None for check in batch.checked.values())
+                        on_checks(len(batch.to_check) - unfinished, len(batch.to_check))
         except LostError as error:
-            lost = str(error)
+            batch.lost = str(error)
         finally:
-            for task in waiting:
-                if solved[task.file]:
-                    with suppress(InputError):
-                        write_segments(task, solved[task.file], task.unfinished)
-            finished |= _results([task for task in tasks if task.file not in finished])
-            cases = _with_checks(_with_unfinished(tasks, finished), checked, run.check)
-            aside = None
-            if cases:
-                aside = _put_aside(folder / RESULTS, cases)
-                write_results(folder / RESULTS, cases, run.published)
-            _clear(folder, tasks, fresh=False)
-        not_run = len(tasks) - len(finished) - len(failed) if lost else 0
+            batch.write()
+        return batch.report()
+
+
+class _Batch:
+    """Cases and checks of a run with their outcomes so far.
+
+    Attributes
+    ----------
+    waiting : list of Task
+        Cases without a result at the beginning.
+    to_check : list of CheckTask
+        Checks without an outcome at the beginning, of recordings that fit into memory and can be
+        read.
+    checked : dict
+        Recording → outcome of its check, an exception, or None before it.
+    finished : dict
+        File → result.
+    failed : list of (str, str)
+        See `Report`.
+    solved : dict
+        File → steps of segments by number, until the case is complete.
+    lost : str
+        See `Report`.
+    """
+
+    def __init__(self, run: Run, folder: Path, *, fresh: bool) -> None:
+        self._run = run
+        self._folder = folder
+        self._tasks = [Task(case, folder.absolute(), run.check == "all") for case in run.cases]
+        checks = {
+            case.recording: CheckTask(
+                case.path, case.sha256, case.recording, folder.absolute() / CASES
+            )
+            for case in run.cases
+            if run.check == "all" and case.stored is None and case.frames
+        }
+        self._clear(fresh=fresh)
+        for check in checks.values() if fresh else ():
+            check.forget()
+        self.checked: dict[str, RecordingCheck | BaseException | None] = {
+            name: check.kept() for name, check in checks.items()
+        }
+        self.to_check = [check for name, check in checks.items() if self.checked[name] is None]
+        self.finished = dict[Path, StoredCase]()
+        self.finished = self._stored()
+        self.waiting = [task for task in self._tasks if task.file not in self.finished]
+        self.failed = list[tuple[str, str]]()
+        self.solved = {task.file: dict[int, Sequence[Step]]() for task in self.waiting}
+        self.lost = ""
+
+    def _stored(self, *, unfinished: bool = False) -> dict[Path, StoredCase]:
+        """Return the results by file, with intact ones of the cases that have not finished.
+
+        A damaged one is solved again. `unfinished` takes the finished frames of these cases.
+        """
+        results = dict(self.finished)
+        for task in self._tasks:
+            if task.file not in results:
+                case = task.intact(task.unfinished if unfinished else task.file)
+                results |= {task.file: case} if case else {}
+        return results
+
+    def outcomes(self, executor: Executor) -> Pairs:
+        """Return the outcomes of all cases, then those of the checks.
+
+        The parts of cases that exceed the memory are solved first.
+        """
+        with ExitStack() as stack:
+            parts = [(task, number) for task in self.waiting for number in parts_to_solve(task)]
+            if parts:  # failures of parts show when their cases are joined
+                deque(stack.enter_context(closing(executor.results(solve_part, parts))), maxlen=0)
+            tasks: list[Task | CaseSegment | CheckTask] = []
+            for task in self.waiting:
+                divided = executor.concurrent and task.case.segments > 1
+                numbers = range(task.case.segments)
+                tasks += [CaseSegment(task, number) for number in numbers] if divided else [task]
+            tasks += self.to_check
+            for task, outcome in stack.enter_context(closing(executor.results(solve_task, tasks))):
+                if not isinstance(task, CaseSegment):
+                    yield task, outcome
+                    continue
+                steps = self.solved[task.task.file]
+                steps[task.number] = outcome
+                if len(steps) == task.task.case.segments:
+                    yield task.task, _joined(task.task, steps)
+                    steps.clear()
+
+    def take(self, task: Task | CheckTask, outcome: Any) -> None:
+        """Note the outcome of a case or a check."""
+        if isinstance(outcome, BaseException):
+            check_folder(self._folder / CASES)
+        if isinstance(task, CheckTask):
+            self.checked[task.recording] = outcome
+        elif isinstance(outcome, BaseException):
+            name = f"{task.case.recording} × {task.case.name}"
+            self.failed.append((name, logged_reason(outcome, name)))
+        else:
+            self.finished[task.file] = outcome
+
+    def write(self) -> None:
+        """Write all results, with the checks of their recordings as far as these are finished.
+
+        Unfinished cases have their finished frames.
+        """
+        for task in self.waiting:
+            if self.solved[task.file]:
+                with suppress(InputError):
+                    write_segments(task, self.solved[task.file], task.unfinished)
+        self.finished = self._stored()
+        results = self._stored(unfinished=True)
+        self.cases = []
+        for case in (results[task.file] for task in self._tasks if task.file in results):
+            check = self.checked.get(case.recording)
+            if self._run.check == "none":
+                case = without_check(case)
+            elif isinstance(check, RecordingCheck):
+                case = check.apply_to(case)
+            self.cases.append(case)
+        self.aside = None
+        if self.cases:
+            self.aside = _put_aside(self._folder / RESULTS, self.cases)
+            write_results(self._folder / RESULTS, self.cases, self._run.published)
+        self._clear(fresh=False)
+
+    def report(self) -> Report:
+        """Return the outcome, each warning, advice and estimated number once."""
+        warnings = [
+            f"{case.recording}: {line}"
+            for case in self.cases
+            for line in case.warnings.split("\n")
+            if line
+        ]
+        warnings += [
+            f"{recording}: the circuit was not checked: {logged_reason(outcome, recording)}"
+            for recording, outcome in self.checked.items()
+            if isinstance(outcome, BaseException) and not isinstance(outcome, InputError)
+        ]
+        advice = ((case.recording, case.advice) for case in self.cases if case.advice)
+        first = {case.recording: case for case in reversed(self.cases)}
+        not_run = len(self._tasks) - len(self.finished) - len(self.failed) if self.lost else 0
         return Report(
-            results=folder / RESULTS if cases else None,
-            done=len(waiting) - len(failed) - not_run,
-            skipped=len(tasks) - len(waiting),
-            failed=tuple(failed),
-            aside=aside,
+            results=self._folder / RESULTS if self.cases else None,
+            done=len(self.waiting) - len(self.failed) - not_run,
+            skipped=len(self._tasks) - len(self.waiting),
+            failed=tuple(self.failed),
+            aside=self.aside,
             not_run=not_run,
-            lost=lost,
-            **_findings(cases, checked),
+            lost=self.lost,
+            warnings=tuple(dict.fromkeys(warnings)),
+            advice=tuple(dict.fromkeys(advice)),
+            estimated=about_recordings(
+                (name, read_case_scene(case).estimated) for name, case in reversed(first.items())
+            ),
         )
 
+    def _clear(self, *, fresh: bool) -> None:
+        """Remove unfinished files of these cases that killed processes left.
 
-def _with_unfinished(
-    tasks: Sequence[Task], finished: Mapping[Path, StoredCase]
-) -> list[StoredCase]:
-    """Return the results of all cases in order; unfinished cases have their finished frames."""
-    unfinished = _results([task for task in tasks if task.file not in finished], unfinished=True)
-    results = {**finished, **unfinished}
-    return [results[task.file] for task in tasks if task.file in results]
-
-
-def _checks(tasks: Sequence[Task]) -> list[CheckTask]:
-    """Return the checks of the recordings that fit into memory and can be read."""
-    checks = {
-        task.case.recording: CheckTask(
-            task.case.path, task.case.sha256, task.case.recording, task.folder / CASES
-        )
-        for task in tasks
-        if task.checked and task.case.stored is None and task.case.frames
-    }
-    return list(checks.values())
-
-
-def _with_checks(
-    cases: Sequence[StoredCase],
-    checked: Mapping[str, RecordingCheck | BaseException | None],
-    which: Checks,
-) -> list[StoredCase]:
-    """Return the results with the checks of their recordings, as far as these are finished."""
-    if which == "none":
-        return [without_check(case) for case in cases]
-    known = {name: each for name, each in checked.items() if isinstance(each, RecordingCheck)}
-    return [
-        known[case.recording].apply_to(case) if case.recording in known else case for case in cases
-    ]
-
-
-def _findings(
-    cases: Sequence[StoredCase], checked: Mapping[str, RecordingCheck | BaseException | None]
-) -> dict[str, Any]:
-    """Return warnings, advice and estimated numbers of a report by field, each line once."""
-    warnings = [
-        f"{case.recording}: {line}" for case in cases for line in case.warnings.split("\n") if line
-    ]
-    warnings += [
-        f"{recording}: the circuit was not checked: {logged_reason(outcome, recording)}"
-        for recording, outcome in checked.items()
-        if isinstance(outcome, BaseException) and not isinstance(outcome, InputError)
-    ]
-    first: dict[str, StoredCase] = {}
-    for case in cases:
-        first.setdefault(case.recording, case)
-    advice = ((case.recording, case.advice) for case in cases if case.advice)
-    return {
-        "warnings": tuple(dict.fromkeys(warnings)),
-        "advice": tuple(dict.fromkeys(advice)),
-        "estimated": about_recordings(
-            (name, read_case_scene(case).estimated) for name, case in first.items()
-        ),
-    }
+        The flag `fresh` also removes their results.
+        """
+        wholes = {RESULTS, *(task.file.name for task in self._tasks)}
+        folders = (self._folder, self._folder / CASES)
+        for unfinished in (file for folder in folders for file in folder.glob(".*.part")):
+            if unfinished.name[1:].rsplit(".", 2)[0] in wholes:
+                remove_own(unfinished)
+        for task in self._tasks:
+            for file in (*task.counts, task.unfinished, *([task.file] if fresh else [])):
+                remove_own(file)
+            if fresh:
+                task.clear_parts()
 
 
 @contextmanager
@@ -278,38 +348,6 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[..., None], workers: int
         if thread.ident is not None:
             thread.join()
         report()
-
-
-def _outcomes(
-    executor: Executor,
-    waiting: Sequence[Task],
-    checks: Sequence[CheckTask],
-    solved: Mapping[Path, dict[int, Sequence[Step]]],
-) -> Pairs:
-    """Return the outcomes of all cases, then those of the checks.
-
-    The parts of cases that exceed the memory are solved first. `solved` takes the steps of segments
-    of each case, until the case is complete.
-    """
-    with ExitStack() as stack:
-        parts = [(task, number) for task in waiting for number in parts_to_solve(task)]
-        if parts:  # failures of parts show when their cases are joined
-            deque(stack.enter_context(closing(executor.results(solve_part, parts))), maxlen=0)
-        tasks: list[Task | CaseSegment | CheckTask] = []
-        for task in waiting:
-            divided = executor.concurrent and task.case.segments > 1
-            numbers = range(task.case.segments)
-            tasks += [CaseSegment(task, number) for number in numbers] if divided else [task]
-        tasks += checks
-        for task, outcome in stack.enter_context(closing(executor.results(solve_task, tasks))):
-            if not isinstance(task, CaseSegment):
-                yield task, outcome
-                continue
-            steps = solved[task.task.file]
-            steps[task.number] = outcome
-            if len(steps) == task.task.case.segments:
-                yield task.task, _joined(task.task, steps)
-                steps.clear()
 
 
 def _joined(
@@ -360,36 +398,3 @@ def exclusive(folder: Path) -> Iterator[None]:
         except OSError as error:
             raise InputError(f"{folder}: cannot be written ({error.strerror})") from error
         yield
-
-
-def _clear(folder: Path, tasks: Sequence[Task], *, fresh: bool) -> None:
-    """Remove unfinished files of these tasks that killed processes left.
-
-    The flag `fresh` also removes the results of these tasks.
-    """
-    wholes = {RESULTS, *(task.file.name for task in tasks)}
-    for unfinished in (*folder.glob(".*.part"), *(folder / CASES).glob(".*.part")):
-        if unfinished.name[1:].rsplit(".", 2)[0] in wholes:
-            remove_own(unfinished)
-    for task in tasks:
-        for file in (*task.counts, task.unfinished):
-            remove_own(file)
-    for task in tasks if fresh else ():
-        remove_own(task.file)
-        task.clear_parts()
-
-
-def _results(tasks: Sequence[Task], *, unfinished: bool = False) -> dict[Path, StoredCase]:
-    """Return the intact results by file; cases with a damaged one are solved again.
-
-    Parameters
-    ----------
-    tasks : sequence of Task
-    unfinished : bool
-        Whether to read the files of the finished frames of unfinished cases.
-    """
-    results = {}
-    for task in tasks:
-        if case := task.intact(task.unfinished if unfinished else task.file):
-            results[task.file] = case
-    return results

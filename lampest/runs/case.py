@@ -16,7 +16,7 @@ from lampest.files.typed import installed
 from lampest.panel.panel import Array, Mask
 from lampest.panel.scene_file import scene_text
 from lampest.recording.file import coordinates
-from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, ReservedColumn, Variable
+from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Columns, ReservedColumn, Variable
 from lampest.runs.content import Content
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ ATTRIBUTES: dict[str, tuple[str, Any]] = {
 }
 
 
-def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
+def all_columns(further: Columns = ()) -> tuple[Column, ...]:
     """Return the columns of lampest, of applications and installed packages, and further ones.
 
     Raises InputError for a repeated name.
@@ -178,7 +178,8 @@ class CaseResult(Content):
         optima = np.array([status.startswith(OPTIMA) for status in self.status])
         if self.starts is None or not optima.any():
             return None
-        return int(optima.sum()), int(self.starts[optima].min()), int(self.starts[optima].max())
+        starts = self.starts[optima]
+        return len(starts), int(starts.min()), int(starts.max())
 
     @property
     def error_words(self) -> str:
@@ -247,9 +248,12 @@ class CaseResult(Content):
         """Texts of the case: names, resolved case and scene as YAML, sentences, versions."""
         names = {"recording": self.recording, "estimator": self.estimator}
         names["scene"] = scene_text(self.scene)
-        values = {name: getattr(self, field) for name, (field, _) in ATTRIBUTES.items()}
-        values["start_time"] = self.start_time
-        texts = {name: text for name, text in values.items() if text and isinstance(text, str)}
+        stored = {name: field for name, (field, _) in ATTRIBUTES.items()}
+        texts = {
+            name: text
+            for name, field in (stored | {"start_time": "start_time"}).items()
+            if isinstance(text := getattr(self, field), str) and text
+        }
         versions = {f"{library}_version": text for library, text in sorted(self.versions.items())}
         return names | texts | versions
 
@@ -261,9 +265,7 @@ class CaseResult(Content):
             for name, (along, at, units, words) in coordinates(self.scene.panel).items()
         }
 
-    def variables(
-        self, columns: Sequence[Column] = (), *, raw: bool = False
-    ) -> dict[str, Variable]:
+    def variables(self, columns: Columns = (), *, raw: bool = False) -> dict[str, Variable]:
         """Return every column and figure by label, in the unit of the readout.
 
         Parameters
@@ -278,18 +280,19 @@ class CaseResult(Content):
         missing = np.isnan(self.cell_resistance)
         for column in all_columns(columns):
             values = self.column(column.name)
+            if values is None:
+                continue
             flagged = column.flags and column.axes == MAPS and not column.shared
-            if flagged and not raw and missing.any() and values is not None:
+            if flagged and not raw and missing.any():
                 values = np.where(missing, np.nan, values)
                 column = replace(column, dtype=np.float64)
-            if values is not None:
-                variables.append(Variable(column.of(self.scene.circuit), values))
+            variables.append(Variable(column.of(self.scene.circuit), values))
         for figures in FIGURES:
             held = getattr(self, figures.name)
             variables += [Variable(figures.column(name), held[name]) for name in held]
         return {variable.column.label: variable for variable in variables}
 
-    def to_xarray(self, columns: Sequence[Column] = ()) -> Dataset:
+    def to_xarray(self, columns: Columns = ()) -> Dataset:
         """Return an xarray.Dataset over time (s), row and column, with x and y in mm.
 
         Units are in `attrs`. `columns` are descriptions of `extra`, as in `read_results`. Raises
@@ -309,7 +312,7 @@ class CaseResult(Content):
         ]
         return Dataset(*parts, self.attributes)
 
-    def to_dataframe(self, columns: Sequence[Column] = ()) -> DataFrame:
+    def to_dataframe(self, columns: Columns = ()) -> DataFrame:
         """Return a long pandas.DataFrame with a line for every cell of every frame.
 
         The columns are time, frame, row, column and those of the case; values of frames and of
@@ -322,7 +325,7 @@ class CaseResult(Content):
         }
         return table
 
-    def long_columns(self, columns: Sequence[Column] = ()) -> dict[str, Variable]:
+    def long_columns(self, columns: Columns = ()) -> dict[str, Variable]:
         """Return the columns of `to_dataframe`, without need of pandas.
 
         Raises InputError as `to_xarray`.
@@ -339,7 +342,7 @@ class CaseResult(Content):
             held[name] = replace(variable, values=values.ravel())
         return held
 
-    def described(self, columns: Sequence[Column] = ()) -> tuple[Column, ...]:
+    def described(self, columns: Columns = ()) -> tuple[Column, ...]:
         """Return all columns: those of lampest, of installed packages, and the given ones.
 
         Raises InputError for values that do not fit and for an extra without column.
@@ -352,18 +355,23 @@ class CaseResult(Content):
             )
         return table
 
-    def check(self, columns: Sequence[Column]) -> None:
+    def check(self, columns: Columns) -> None:
         """Raise InputError for wrong shapes and impossible values."""
-        values = {column: self.column(column.name) for column in columns}
         filled = {
             column: held
-            for column, held in values.items()
-            if column.name in REQUIRED or held is not None
+            for column in columns
+            if (held := self.column(column.name)) is not None or column.name in REQUIRED
         }
         for column, held in filled.items():
             self._check_shape(self._path(column), held, column.axes)
         present = self.scene.panel.present
-        estimated = self._estimated()
+        # Estimates are expected in solved frames, of modules that have any.
+        estimated: Mask = np.broadcast_to(self.solved[:, None, None], self.measured.shape)
+        layout = self.scene.panel.modules
+        if layout is not None:
+            known = layout.split(np.isfinite(self.cell_resistance))
+            known = np.broadcast_to(known.any(axis=(-2, -1), keepdims=True), known.shape)
+            estimated = estimated & layout.joined(known)
         for column, held in filled.items():
             tested = np.asarray(held)
             solved = self.solved
@@ -373,19 +381,6 @@ class CaseResult(Content):
             for fault in (check(tested, solved) for check in column.checks):
                 if fault is not None:
                     raise InputError(f"{self._path(column)} {fault}")
-
-    def _estimated(self) -> Mask:
-        """Return a mask (frames, rows, columns) of expected estimates.
-
-        Expected are those of solved frames, in modules that have any.
-        """
-        estimated = np.broadcast_to(self.solved[:, None, None], self.measured.shape)
-        layout = self.scene.panel.modules
-        if layout is None:
-            return estimated
-        known = layout.split(np.isfinite(self.cell_resistance))
-        known = np.broadcast_to(known.any(axis=(-2, -1), keepdims=True), known.shape)
-        return np.asarray(estimated & layout.joined(known))
 
     def _path(self, column: Column) -> str:
         group = SHARED if column.shared else self.estimator

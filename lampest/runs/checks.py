@@ -9,7 +9,7 @@ import json
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from lampest.files.errors import InputError
 from lampest.files.whole import inner_folder, remove_own, write_whole
@@ -20,7 +20,6 @@ from lampest.runs.provenance import code_digest, library_versions
 if TYPE_CHECKING:
     from lampest.audit.advice import Audit
 
-Checks = Literal["all", "none"]
 NOT_CHECKED = "not checked"
 KEPT = "check/1"
 CASES = "cases"  # folder of a run's output, for the files of its cases and checks

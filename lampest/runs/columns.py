@@ -7,7 +7,7 @@ declared in `lampest.runs.content`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -162,7 +162,7 @@ class Column(Validated):
         return self.name if self.shared else self.path.replace("/", "_")
 
     @property
-    def stored_dtype(self) -> type[Any]:
+    def stored_dtype(self) -> type:
         """Type of numbers in a file, where truth values are 0 and 1."""
         return np.uint8 if self.dtype is bool else self.dtype
 
@@ -218,6 +218,9 @@ class Column(Validated):
             return hdf5.read_texts(file, path, shape[0], part)
         integer = None if np.dtype(self.dtype).kind == "f" else self.stored_dtype
         return hdf5.read_array(file, path, len(shape), shape, part, integer).astype(self.dtype)
+
+
+Columns = Sequence[Column]
 
 
 class ReservedColumn(Column):

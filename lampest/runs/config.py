@@ -20,6 +20,7 @@ from lampest.files import sweep
 from lampest.files.document import (
     Document,
     adapter,
+    entry_at,
     plain_content,
     read_document,
     to_yaml,
@@ -39,6 +40,7 @@ from lampest.runs.results import PublishedFigures
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import Settings
 
+Checks = Literal["all", "none"]  # of which recordings the circuit is checked
 FORBID: dict[str, Any] = {"extra": "forbid"}
 # Of a processor, for a later frame with error bars: 18 to 23 ms at 10 × 10 (docs/studies/bench.md).
 SECONDS_A_CELL = 2e-4
@@ -46,7 +48,7 @@ ABSOLUTE_FACTOR = 5.0  # times as long where a loss is not squared
 MIN_DIVIDED_SECONDS = 2.0  # processes start within half of it, so that two of them end earlier
 
 
-def by_kind_class(name: str, kinds: Mapping[str, type[Any]], *bases: type[Any]) -> type[Any]:
+def by_kind_class(name: str, kinds: Mapping[str, type], *bases: type) -> type:
     """Return a dataclass with a field for every kind of a registered class, None by default."""
     summary = f"The {name.lower()} of an estimator, by kind."
     space = {"__pydantic_config__": FORBID, "__module__": __name__, "__doc__": summary}
@@ -54,7 +56,7 @@ def by_kind_class(name: str, kinds: Mapping[str, type[Any]], *bases: type[Any]) 
     return make_dataclass(name, members, bases=bases, frozen=True, namespace=space)
 
 
-def _extended(known: Callable[[], Mapping[str, type[Any]]]) -> type[Any]:
+def _extended(known: Callable[[], Mapping[str, type]]) -> type:
     """Return a base class whose validation also accepts kinds of installed packages."""
 
     class WithInstalled:
@@ -70,7 +72,7 @@ def _extended(known: Callable[[], Mapping[str, type[Any]]]) -> type[Any]:
     return WithInstalled
 
 
-def _shipped_kinds(union: Any) -> dict[str, type[Any]]:
+def _shipped_kinds(union: Any) -> dict[str, type]:
     return {kind: member for member in shipped(union) for kind in kinds_of(member)}
 
 
@@ -116,7 +118,7 @@ class RunFile(Choices):
     recordings: list[str]
     estimators: dict[str, EstimatorEntry]
     executor: AnyExecutor | None = None
-    check: Literal["all", "none"] = "all"
+    check: Checks = "all"
     published: dict[str, PublishedFigures] | None = None
     sweep: dict[str, list[Any]] | None = None
 
@@ -207,7 +209,7 @@ class Run:
     published: dict[str, PublishedFigures]
     executor: Executor | None = None
     assumed: tuple[tuple[str, str], ...] = ()
-    check: Literal["all", "none"] = "all"
+    check: Checks = "all"
 
     @property
     def tasks(self) -> int:
@@ -249,16 +251,13 @@ def read_run(path: str | Path, settings: tuple[str, ...] = ()) -> Run:
     recordings: dict[Path, _Source] = {}
     cases = []
     published: dict[str, PublishedFigures] = {}
-    executor: Executor | None = None
-    check: Literal["all", "none"] = "all"
-    for point in sweep.combinations(
+    points = sweep.combinations(
         document, lambda varied: validated(varied, RunFile), "estimators", UNSWEPT
-    ):
+    )
+    executor = points[0].value.executor and points[0].value.executor.beside(path.parent)
+    for point in points:
         run: RunFile = point.value
         published |= run.published or {}
-        # the same at every point
-        check = run.check
-        executor = run.executor and run.executor.beside(path.parent)
         prefix = f"estimators.{point.entry}."  # swept keys without the estimator: gradient.weight
         swept = {
             key.removeprefix(prefix).removeprefix("terms."): value
@@ -273,23 +272,21 @@ def read_run(path: str | Path, settings: tuple[str, ...] = ()) -> Run:
     faults = [source.fault for source in recordings.values()]
     if faults[0] is not None and all(faults):
         raise faults[0]
-    scenes = {
-        file.stem: source.scene.assumed_text
-        for file, source in recordings.items()
-        if source.scene is not None
-    }
     # Recordings in order, their estimators together, each case once.
     order = {case.recording: None for case in cases}
     unique = {case.case_id: case for case in cases}.values()
     distinct = tuple(case for name in order for case in unique if case.recording == name)
-    assumed = tuple((name, text) for name, text in scenes.items() if text)
-    return Run(distinct, published, executor, assumed, check)
+    assumed = tuple(
+        (file.stem, source.scene.assumed_text)
+        for file, source in recordings.items()
+        if source.scene is not None and source.scene.assumed_text
+    )
+    return Run(distinct, published, executor, assumed, run.check)
 
 
 def _refuse_unknown(path: Path, document: Document, settings: tuple[str, ...]) -> None:
     """Raise InputError where a setting reaches into an estimator that the file does not hold."""
-    known = read_document(path).content
-    estimators = known.get("estimators") if isinstance(known, dict) else None
+    estimators = entry_at(read_document(path).content, ("estimators",))
     if not isinstance(estimators, dict):
         return
     for key in (setting.partition("=")[0] for setting in settings):

@@ -42,6 +42,9 @@ if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.estimates import Estimates
 
 
+NamedValues = dict[str, Array]
+
+
 def _declared(
     axes: tuple[str, ...],
     units: str,
@@ -62,6 +65,9 @@ _maps = partial(_declared, MAPS)
 _frames = partial(_declared, FRAMES)
 _cells = partial(_declared, CELLS, "ohm")
 _counts = partial(_frames, "1", dtype=np.int64)
+_optional_maps, _optional_frames, _optional_cells = (
+    partial(declared, default=None) for declared in (_maps, _frames, _cells)
+)
 
 
 def _flag(words: str, unset: str, then: str, **more: Any) -> Any:
@@ -71,12 +77,12 @@ def _flag(words: str, unset: str, then: str, **more: Any) -> Any:
 
 def _deviation(units: str, words: str) -> Any:
     """Return a field of standard deviations of cells."""
-    return _maps(units, words, not_negative, known_if_solved, default=None)
+    return _optional_maps(units, words, not_negative, known_if_solved)
 
 
 def _share(words: str, units: str = "1") -> Any:
     """Return an optional field of cells that is known where a frame is solved."""
-    return _maps(units, words, known_if_solved, default=None)
+    return _optional_maps(units, words, known_if_solved)
 
 
 def _attribute(name: str, source: str = "", default: Any = "", value: Any = None) -> Any:
@@ -115,32 +121,31 @@ def _frame_numbers(done: Estimates) -> Numbers:
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
 
 
-def _truth(done: Estimates) -> Array | None:
-    """Return true cells, (frames, rows, columns) ohm, or None.
+def _true_cells(done: Estimates) -> Array | None:
+    """Return true cells, (frames of the recording, rows, columns) ohm, or None.
 
     Places without an intact cell are NaN.
     """
     cells = done.recording.truth_cell_resistance
-    return (
-        None if cells is None else np.where(done.recording.scene.broken, np.nan, cells[done.frame])
-    )
+    return None if cells is None else np.where(done.recording.scene.broken, np.nan, cells)
+
+
+def _truth(done: Estimates) -> Array | None:
+    """Return true cells, (frames, rows, columns) ohm, or None."""
+    cells = _true_cells(done)
+    return None if cells is None else cells[done.frame]
 
 
 def _truth_baseline(done: Estimates) -> Array | None:
-    """Return the mean of true unloaded cells, (rows, columns) ohm, or None.
-
-    Places without an intact cell are NaN.
-    """
-    cells = done.recording.truth_cell_resistance
+    """Return the mean of true unloaded cells, (rows, columns) ohm, or None."""
+    cells = _true_cells(done)
     unloaded = done.recording.role == UNLOADED
-    if cells is None or not np.any(unloaded):
-        return None
-    return np.where(done.recording.scene.broken, np.nan, cells[unloaded].mean(axis=0))
+    return None if cells is None or not np.any(unloaded) else cells[unloaded].mean(axis=0)
 
 
 def _of_terms(
     done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]
-) -> dict[str, Array]:
+) -> NamedValues:
     """Map terms to values of all steps.
 
     Repeated kinds, which scripts can give, are `kind_2` and so on.
@@ -156,17 +161,12 @@ def _of_terms(
     return named
 
 
-def _costs(done: Estimates) -> dict[str, Array]:
-    """Map terms to their costs in every frame."""
-    return _of_terms(done, [step.solution.costs for step in done.steps])
-
-
-def weights_of(done: Estimates) -> dict[str, Array]:
+def weights_of(done: Estimates) -> NamedValues:
     """Map terms to their weights in every frame."""
     return _of_terms(done, [step.weights for step in done.steps])
 
 
-def _chosen(done: Estimates) -> dict[str, Array]:
+def _chosen(done: Estimates) -> NamedValues:
     """Map terms with weights chosen by the data to the deviations of ln λ, one for each frame."""
     size = len(done.estimator.terms)
     sigmas = [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps]
@@ -174,7 +174,7 @@ def _chosen(done: Estimates) -> dict[str, Array]:
     return {name: values for name, values in by_term.items() if np.isfinite(values).any()}
 
 
-def _contacts(done: Estimates) -> dict[str, Array]:
+def _contacts(done: Estimates) -> NamedValues:
     """Return contact resistances of the lines and their standard deviations, equal in all frames.
 
     The mapping is empty if contact resistances are unknown.
@@ -182,8 +182,8 @@ def _contacts(done: Estimates) -> dict[str, Array]:
     if done.contacts is None:
         return {}
     shape = done.recording.scene.panel.shape
-    rows, columns = shape
-    lines = [*(f"row_{row}" for row in range(rows)), *(f"column_{n}" for n in range(columns))]
+    sides = zip(("row", "column"), shape, strict=True)
+    lines = [f"{side}_{number}" for side, count in sides for number in range(count)]
     ohm = [*done.contacts.mean(shape), *done.contacts.deviation(shape)]
     names = [*lines, *(f"{line}_errors" for line in lines)]
     return dict(zip(names, np.outer(ohm, np.ones(len(done.steps))), strict=True))
@@ -243,7 +243,7 @@ class Content(Validated):
         default=0,
         value=lambda done: int(np.sum(done.recording.role == UNLOADED)),
     )
-    frame_noise: dict[str, Array] = field(default_factory=dict)
+    frame_noise: NamedValues = field(default_factory=dict)
     start_time: str = ""
     # The measurement that all estimates of a recording share: frames, readings with their noise,
     # and the truth.
@@ -266,29 +266,26 @@ class Content(Validated):
         as_volt="baseline",
         shared=True,
     )
-    sigma: Array | None = _maps(
+    sigma: Array | None = _optional_maps(
         "ohm",
         "standard deviation of the reading",
         positive_or_infinite,
         as_volt="sigma",
         shared=True,
-        default=None,
     )
-    sigma_baseline: Array | None = _cells(
+    sigma_baseline: Array | None = _optional_cells(
         "standard deviation of the baseline",
         positive_or_infinite,
         as_volt="sigma_baseline",
         shared=True,
-        default=None,
     )
-    reading_side: NDArray[np.int8] | None = _maps(
+    reading_side: NDArray[np.int8] | None = _optional_maps(
         "1",
         "0: a value; a bound: 1 the truth is at least this, -1 at most",
         value=lambda done: done.readings.side,
         dtype=np.int8,
         flags=((-1, "truth_is_at_most_this"), (0, "value"), (1, "truth_is_at_least_this")),
         shared=True,
-        default=None,
     )
     missing_readings: NDArray[np.int64] | None = _counts(
         "readings that say nothing", shared=True, default=None
@@ -296,15 +293,18 @@ class Content(Validated):
     bound_readings: NDArray[np.int64] | None = _counts(
         "readings at a rail, zero, or below the series resistance", shared=True, default=None
     )
-    truth: Array | None = _maps(
-        "ohm", "true cell resistance", positive_or_missing, value=_truth, shared=True, default=None
+    truth: Array | None = _optional_maps(
+        "ohm",
+        "true cell resistance",
+        positive_or_missing,
+        value=_truth,
+        shared=True,
     )
-    truth_baseline: Array | None = _cells(
+    truth_baseline: Array | None = _optional_cells(
         "mean true unloaded cell resistance",
         positive_or_missing,
         value=_truth_baseline,
         shared=True,
-        default=None,
     )
     # The estimate of every frame, and the outcome of its solve.
     cell_resistance: Array = _maps(
@@ -321,11 +321,10 @@ class Content(Validated):
         dataset="two_point_model",
         as_volt="reading_model",
     )
-    reading_sigma: Array | None = _maps(
+    reading_sigma: Array | None = _optional_maps(
         "ohm",
         "standard deviation of a reading about the model's, noise and model error included",
         as_volt="reading_sigma",
-        default=None,
     )
     open_cell: NDArray[np.uint8] = _flag(
         "1: cannot be distinguished from an open cell", "conducts", "cannot_be_told_from_open"
@@ -338,14 +337,13 @@ class Content(Validated):
     iterations: NDArray[np.int64] = _counts(
         "iterations of the solver", value=_of_solutions("iterations")
     )
-    solver: tuple[str, ...] | None = _frames(
+    solver: tuple[str, ...] | None = _optional_frames(
         "1",
         "solver that gave the estimate; empty where none did",
         dtype=str,
         value=_of_solutions("solver"),
-        default=None,
     )
-    verified: NDArray[np.uint8] | None = _frames(
+    verified: NDArray[np.uint8] | None = _optional_frames(
         "1",
         "the frame solved again by IPOPT on the nodal program, from another start",
         dtype=np.uint8,
@@ -357,19 +355,16 @@ class Content(Validated):
             (Witness.LOWER, "ipopt_ended_lower_and_was_kept"),
             (Witness.FAILED, "ipopt_reached_no_optimum"),
         ),
-        default=None,
     )
-    verified_difference: Array | None = _frames(
+    verified_difference: Array | None = _optional_frames(
         "1",
         "largest difference of ln r from the second solve; NaN without one",
         value=_of_witness("difference", np.nan),
-        default=None,
     )
-    verified_decrease: Array | None = _frames(
+    verified_decrease: Array | None = _optional_frames(
         "1",
         "decrease of the cost by the second solve, relative to the first; 0 unless that was lower",
         value=_of_witness("decrease", 0.0),
-        default=None,
     )
     starts: NDArray[np.int64] | None = _counts(
         "number of starts; the estimate is the best local optimum that they reached",
@@ -402,19 +397,23 @@ class Content(Validated):
     )
     resolution: Array | None = _share("diagonal of the averaging kernel")
     data_share: Array | None = _share("share of the estimate that comes from the data")
-    error_bar_time: Array | None = _frames("s", "wall time of the error bars", default=None)
-    baseline_resistance_errors: Array | None = _cells(
-        "posterior standard deviation of the unloaded cell resistance", not_negative, default=None
+    error_bar_time: Array | None = _optional_frames("s", "wall time of the error bars")
+    baseline_resistance_errors: Array | None = _optional_cells(
+        "posterior standard deviation of the unloaded cell resistance", not_negative
     )
-    contacts: dict[str, Array] = _figures("contact", _contacts, _of_contact, "ohm")
-    costs: dict[str, Array] = _figures("cost", _costs, "cost of the term {}".format)
-    weights: dict[str, Array] = _figures("weight", weights_of, "weight of the term {}".format)
-    weight_sigma: dict[str, Array] = _figures(
+    contacts: NamedValues = _figures("contact", _contacts, _of_contact, "ohm")
+    costs: NamedValues = _figures(
+        "cost",
+        lambda done: _of_terms(done, [step.solution.costs for step in done.steps]),
+        "cost of the term {}".format,
+    )
+    weights: NamedValues = _figures("weight", weights_of, "weight of the term {}".format)
+    weight_sigma: NamedValues = _figures(
         "weight_sigma",
         _chosen,
         "standard deviation of ln of the chosen weight of the term {}".format,
     )
-    misfit: dict[str, Array] = _figures(
+    misfit: NamedValues = _figures(
         "model_check", attrgetter("misfit"), lambda name: MISFIT.get(name, name)
     )
     extra: Mapping[str, Array] = field(default_factory=dict)

@@ -125,10 +125,8 @@ class Processes(Executor):
         waiting = deque(range(len(arguments)))
         deaths = Counter[int]()
         with ExitStack() as stack:
-            idle = [
-                stack.enter_context(Worker())
-                for _ in range(min(self.workers or cores(), len(arguments)))
-            ]
+            workers = min(self.workers or cores(), len(arguments))
+            idle = [stack.enter_context(Worker()) for _ in range(workers)]
             busy: dict[Worker, int] = {}
             while waiting or busy:
                 while waiting and idle:

@@ -5,7 +5,7 @@ The module also converts attributes of the file to the noise of frames.
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from functools import cache
 
@@ -19,7 +19,7 @@ from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.runs.case import FIGURES, CaseResult, all_columns
-from lampest.runs.columns import Column
+from lampest.runs.columns import Columns
 from lampest.runs.config import Case, hash_of
 from lampest.runs.content import Content
 from lampest.runs.provenance import library_versions
@@ -61,7 +61,7 @@ def case_result(case: Case, estimates: Estimates, *, checked: bool = False) -> C
 def named_result(
     estimates: Estimates,
     name: str | None,
-    columns: Sequence[Column] = (),
+    columns: Columns = (),
 ) -> CaseResult:
     """Return the result of estimates without a run file. Raises InputError as `case_result`.
 
@@ -85,7 +85,7 @@ def named_result(
 
 
 def _filled(
-    estimates: Estimates, columns: Sequence[Column], names: dict[str, str], *, checked: bool
+    estimates: Estimates, columns: Columns, names: dict[str, str], *, checked: bool
 ) -> CaseResult:
     """Return the case with every column, attribute and figure that its estimates provide.
 

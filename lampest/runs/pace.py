@@ -1,9 +1,11 @@
 """Remaining time of a batch, each estimator by its own speed."""
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from lampest.panel.panel import Array
 from lampest.runs.config import Case
 
 
@@ -16,9 +18,9 @@ class Pace:
     cases : sequence of Case
     done : tuple of int
         Number of finished frames of each case.
-    timed : tuple of int
+    timed : array, shape (cases,)
         Number of those of known time: the first ones of a case end with its preparation.
-    seconds : tuple of float
+    seconds : array, shape (cases,)
         Time of these, s. The time between two counts is shared by the cases that have advanced.
     counted : float
         Clock when a case advanced last, s.
@@ -26,29 +28,26 @@ class Pace:
 
     cases: Sequence[Case]
     done: tuple[int, ...]
-    timed: tuple[int, ...]
-    seconds: tuple[float, ...]
+    timed: Array
+    seconds: Array
     counted: float
 
     @classmethod
     def begun(cls, cases: Sequence[Case], now: float) -> "Pace":
         """Return the pace before the first frame; `now` is the clock in s."""
-        none = (0,) * len(cases)
-        return cls(cases, none, none, none, now)
+        none = np.zeros(len(cases))
+        return cls(cases, (0,) * len(cases), none, none, now)
 
     def after(self, done: Sequence[int], now: float) -> "Pace":
         """Return the pace at a count of the finished frames of each case."""
-        advanced = [new > old for new, old in zip(done, self.done, strict=True)]
-        if not any(advanced):
+        frames = np.maximum(np.subtract(done, self.done), 0)
+        if not frames.any():
             return self
-        share = (now - self.counted) / sum(advanced)
-        timed = list(self.timed)
-        seconds = list(self.seconds)
-        for number, before in enumerate(self.done):
-            if advanced[number] and before:
-                timed[number] += done[number] - before
-                seconds[number] += share
-        return Pace(self.cases, tuple(done), tuple(timed), tuple(seconds), now)
+        share = (now - self.counted) / np.count_nonzero(frames)
+        begun = np.greater(self.done, 0)
+        timed = self.timed + frames * begun
+        seconds = self.seconds + share * (begun & (frames > 0))
+        return Pace(self.cases, tuple(done), timed, seconds, now)
 
     def left_s(self, workers: int) -> float:
         """Return the remaining time in s.
@@ -57,17 +56,11 @@ class Pace:
         measured it takes the expected one, multiplied by the ratio of measured to expected times of
         the other estimators; without those, divided by the number of workers.
         """
-        seconds = defaultdict[tuple[str, int], float](float)
-        timed = defaultdict[tuple[str, int], int](int)
-        expected = 0.0
-        for case, frames, spent in zip(self.cases, self.timed, self.seconds, strict=True):
-            timed[case.name, case.cells] += frames
-            seconds[case.name, case.cells] += spent
-            expected += frames * case.frame_seconds
-        ratio = sum(seconds.values()) / expected if expected else 1 / workers
-        left = 0.0
-        for case, frames in zip(self.cases, self.done, strict=True):
-            kind = (case.name, case.cells)
-            of_frame = seconds[kind] / timed[kind] if timed[kind] else case.frame_seconds * ratio
-            left += (case.frames - frames) * of_frame
-        return left
+        labels = [f"{case.name} {case.cells}" for case in self.cases]
+        _, kind = np.unique(labels, return_inverse=True)
+        timed, seconds = (np.bincount(kind, part)[kind] for part in (self.timed, self.seconds))
+        frame_seconds = np.array([case.frame_seconds for case in self.cases])
+        expected = self.timed @ frame_seconds
+        ratio = self.seconds.sum() / expected if expected else 1 / workers
+        of_frame = np.where(timed > 0, seconds / np.maximum(timed, 1), frame_seconds * ratio)
+        return float(np.subtract([case.frames for case in self.cases], self.done) @ of_frame)

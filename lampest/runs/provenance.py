@@ -15,9 +15,7 @@ def library_versions(*further: str) -> dict[str, str]:
     return {library: _version(library) for library in (*LIBRARIES, *further)}
 
 
-@cache  # the metadata of a package take a millisecond to read
-def _version(library: str) -> str:
-    return version(library)
+_version = cache(version)  # the metadata of a package take a millisecond to read
 
 
 @cache

@@ -4,12 +4,13 @@ import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
+from itertools import chain
 from math import prod
 from pathlib import Path
 from typing import Any, Literal
 
-import h5py
 import numpy as np
+from h5py import File, Group
 
 from lampest.files import checksums, hdf5
 from lampest.files.document import adapter, parse_document
@@ -31,7 +32,7 @@ from lampest.runs.case import (
     all_columns,
 )
 from lampest.runs.case import CaseResult as CaseResult
-from lampest.runs.columns import FRAMES, MAPS, Column, Variable
+from lampest.runs.columns import FRAMES, MAPS, Columns, Variable
 
 FORMAT = "results/1"
 Reader = Callable[[str | Path], "Results"]
@@ -121,7 +122,7 @@ class Results:
 
         Raises InputError for an unknown name.
         """
-        known = list(dict.fromkeys(str(getattr(case, field)) for case in self.cases))
+        known = self.recordings() if field == "recording" else self.estimators()
         for name in names:
             if name not in known:
                 close = meant(name, known)
@@ -137,7 +138,7 @@ def write_results(
     path: str | Path,
     cases: Sequence[CaseResult | StoredCase],
     published: Mapping[str, PublishedFigures] | None = None,
-    columns: Sequence[Column] = (),
+    columns: Columns = (),
 ) -> None:
     """Write cases into one file, atomically and reproducibly.
 
@@ -202,7 +203,7 @@ def join_case(path: Path, parts: Sequence[Path], recording: str) -> None:
         join_parts(parts, _begun(file, recording).create_group(recording), f"/entry/{recording}")
 
 
-def _begun(file: h5py.File, first: str) -> h5py.Group:
+def _begun(file: File, first: str) -> Group:
     """Create the entry of a file with its first recording as the default."""
     hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
     entry = file.create_group("entry")
@@ -210,7 +211,7 @@ def _begun(file: h5py.File, first: str) -> h5py.Group:
     return entry
 
 
-def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> None:
+def _check_together(cases: Sequence[CaseResult], columns: Columns) -> None:
     """Raise InputError unless all cases of a recording have the same measurement."""
     estimators: set[str] = set()
     for case in cases:
@@ -234,7 +235,7 @@ def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> N
                 )
 
 
-def _write_case(group: h5py.Group, case: CaseResult, columns: Sequence[Column]) -> None:
+def _write_case(group: Group, case: CaseResult, columns: Columns) -> None:
     """Write an estimate and, with the first case of a recording, the measurement."""
     variables = case.variables(columns, raw=True).values()
     if SHARED not in group:
@@ -246,8 +247,11 @@ def _write_case(group: h5py.Group, case: CaseResult, columns: Sequence[Column]) 
             hdf5.write_dataset(measurement, name, hdf5.ascii_array(text), "1", words)
         _write_variables(measurement, case, [each for each in variables if each.column.shared])
     estimate = _group_of_data(group, case.estimator, "cell_resistance")
-    held = {name: (getattr(case, item), default) for name, (item, default) in ATTRIBUTES.items()}
-    attributes = {name: value for name, (value, default) in held.items() if value != default}
+    attributes: dict[str, Any] = {
+        name: value
+        for name, (item, default) in ATTRIBUTES.items()
+        if (value := getattr(case, item)) != default
+    }
     attributes |= {f"{library}_version": text for library, text in case.versions.items()}
     attributes |= {f"frame_{name}": noise for name, noise in case.frame_noise.items()}
     attributes["joint_start"] = np.uint8(case.joint_start)
@@ -257,7 +261,7 @@ def _write_case(group: h5py.Group, case: CaseResult, columns: Sequence[Column]) 
     _write_variables(estimate, case, own)
 
 
-def _copy_case(group: h5py.Group, case: StoredCase, measured: Mapping[str, bytes]) -> None:
+def _copy_case(group: Group, case: StoredCase, measured: Mapping[str, bytes]) -> None:
     """Copy an estimate of a file and, with the first case of a recording, the measurement.
 
     Attributes of a check that was made after the case replace those of the file.
@@ -270,14 +274,12 @@ def _copy_case(group: h5py.Group, case: StoredCase, measured: Mapping[str, bytes
         if not measured:
             copy_group(held[SHARED], group, SHARED)
         else:
-            ours = checksums.digests_below(held[SHARED])
-            for name in sorted(measured.keys() | ours.keys()):
-                if measured.get(name) != ours.get(name):
-                    raise InputError(
-                        f"{case.estimator} and an estimator before it "
-                        "were given different recordings "
-                        f"of the name {case.recording} ({name} differs)"
-                    )
+            differing = measured.items() ^ checksums.digests_below(held[SHARED]).items()
+            if differing:
+                raise InputError(
+                    f"{case.estimator} and an estimator before it were given different recordings "
+                    f"of the name {case.recording} ({min(differing)[0]} differs)"
+                )
         copy_group(held[case.estimator], group, case.estimator)
     if case.verdict is None:
         return
@@ -290,14 +292,14 @@ def _copy_case(group: h5py.Group, case: StoredCase, measured: Mapping[str, bytes
             del estimate.attrs[name]
 
 
-def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
+def _group_of_data(parent: Group, name: str, signal: str) -> Group:
     """Create a group with the axes of a case and its signal."""
     group = parent.create_group(name)
     hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=list(MAPS))
     return group
 
 
-def _write_variables(group: h5py.Group, case: CaseResult, variables: Iterable[Variable]) -> None:
+def _write_variables(group: Group, case: CaseResult, variables: Iterable[Variable]) -> None:
     """Write coordinates, columns and figures of a case into a group, then attach the axes."""
     axes = {}
     places = case.coordinates
@@ -317,9 +319,7 @@ def _write_variables(group: h5py.Group, case: CaseResult, variables: Iterable[Va
 
 
 @typed
-def read_results(
-    path: str | Path, columns: Sequence[Column] = (), frames: range | None = None
-) -> Results:
+def read_results(path: str | Path, columns: Columns = (), frames: range | None = None) -> Results:
     """Read a results file.
 
     Parameters
@@ -358,13 +358,11 @@ def read_results(
         published = _read_published(file)
         names = _in_order(file, "/entry")
         parts = {name: hdf5.ALL if frames is None else _part(file, name, frames) for name in names}
-        if names and all(part is None for part in parts.values()):
+        held = {name: part for name, part in parts.items() if part is not None}
+        if names and not held:
             raise InputError(f"{path}: holds none of the frames that are asked for")
-        cases = list[CaseResult]()
-        for name, part in parts.items():
-            if part is not None:
-                cases += _read_recording(file, name, table, part)
-        return Results(tuple(cases), published)
+        read = (_read_recording(file, name, table, part) for name, part in held.items())
+        return Results(tuple(chain.from_iterable(read)), published)
 
 
 def read_each(path: Path, most: int) -> Iterator[CaseResult]:
@@ -403,7 +401,7 @@ def read_case_scene(case: StoredCase) -> Scene:
         return _read_scene(file, case.recording)
 
 
-def _read_scene(file: h5py.File, recording: str) -> Scene:
+def _read_scene(file: File, recording: str) -> Scene:
     """Return the scene of a stored recording. Raises InputError for an invalid one."""
     path = f"/entry/{recording}/{SHARED}/scene"
     text = hdf5.read_text(file, path)
@@ -411,7 +409,7 @@ def _read_scene(file: h5py.File, recording: str) -> Scene:
 
 
 @contextmanager
-def _results_file(path: Path) -> Iterator[h5py.File]:
+def _results_file(path: Path) -> Iterator[File]:
     """Yield an open results file. Raises InputError if the file is none."""
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
@@ -423,19 +421,19 @@ def _results_file(path: Path) -> Iterator[h5py.File]:
         yield file
 
 
-def _in_order(file: h5py.File, path: str) -> list[str]:
+def _in_order(file: File, path: str) -> list[str]:
     """Return the names of the groups below a path in the order in which they were written."""
-    names = hdf5.children(file, path, h5py.Group)
+    names = hdf5.children(file, path, Group)
     return sorted(
         names, key=lambda name: (hdf5.read_number(file, f"{path}/{name}", "order", 0), name)
     )
 
 
-def _estimators(file: h5py.File, recording: str) -> list[str]:
+def _estimators(file: File, recording: str) -> list[str]:
     return [name for name in _in_order(file, f"/entry/{recording}") if name != SHARED]
 
 
-def _sizes(file: h5py.File, recording: str) -> tuple[int, int]:
+def _sizes(file: File, recording: str) -> tuple[int, int]:
     """Return the numbers of frames and cells of a recording."""
     frames, rows, columns = (
         hdf5.length_of(file, f"/entry/{recording}/{SHARED}/{axis}") for axis in MAPS
@@ -443,7 +441,7 @@ def _sizes(file: h5py.File, recording: str) -> tuple[int, int]:
     return frames, rows * columns
 
 
-def _part(file: h5py.File, recording: str, frames: range) -> slice | None:
+def _part(file: File, recording: str, frames: range) -> slice | None:
     """Return the slice of the stored frames that belong to a range; None if it is empty."""
     estimator = _estimators(file, recording)[0]
     numbers = hdf5.read_array(file, f"/entry/{recording}/{estimator}/{FRAME.path}", 1)
@@ -451,9 +449,7 @@ def _part(file: h5py.File, recording: str, frames: range) -> slice | None:
     return slice(int(begin), int(end)) if begin < end else None
 
 
-def _read_recording(
-    file: h5py.File, name: str, table: Sequence[Column], part: slice
-) -> list[CaseResult]:
+def _read_recording(file: File, name: str, table: Columns, part: slice) -> list[CaseResult]:
     """Return the cases of a recording. Raises InputError as `read_results`."""
     base = f"/entry/{name}/{SHARED}"
     scene = _read_scene(file, name)
@@ -505,7 +501,7 @@ def _read_recording(
     return cases
 
 
-def _read_attributes(file: h5py.File, path: str) -> dict[str, Any]:
+def _read_attributes(file: File, path: str) -> dict[str, Any]:
     """Return the attributes of a case."""
     texts = {
         name: hdf5.read_attribute(file, path, name) for name in hdf5.attribute_names(file, path)
@@ -524,12 +520,11 @@ def _read_attributes(file: h5py.File, path: str) -> dict[str, Any]:
     return attributes
 
 
-def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:
+def _read_published(file: File) -> dict[str, PublishedFigures]:
     """Return the published figures by estimator, which are stored as JSON."""
     text = hdf5.read_attribute(file, "/entry", "published")
-    kind = dict[str, PublishedFigures]
     try:
-        return kind(adapter(kind).validate_json(text or "{}"))
+        return dict(adapter(dict[str, PublishedFigures]).validate_json(text or "{}"))
     except (ValueError, TypeError) as error:
         names = ", ".join(item.name for item in fields(PublishedFigures))
         raise InputError(

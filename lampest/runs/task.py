@@ -17,15 +17,14 @@ from pathlib import Path
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.parts import Parts, asked_frames
-from lampest.estimate.sequence import MeasuredPart, begun, reconstruct, segments
+from lampest.estimate.sequence import begun, reconstruct, segments
 from lampest.estimate.state import Step
-from lampest.estimate.stream import CarriedOver, Stream
+from lampest.estimate.stream import CarriedOver
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.files.whole import inner_folder, opened_for_locking, remove_own
 from lampest.inference.prepared import Prepared
-from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import StoredCase
 from lampest.runs.checks import CASES, CheckTask, RecordingCheck, check_folder
@@ -39,6 +38,9 @@ CARRIED = "carried/3"
 EVERY_SECONDS = 1.0
 MAX_RECORDINGS = 2  # prepared ones that a process keeps, for checks that follow all cases
 KEPT_SHARE = 0.05  # largest share of a case's time for these files
+_begun = lru_cache(maxsize=1)(begun)  # a process solves several segments of a case
+# Successive cases are often estimators of one recording.
+_asked_frames = lru_cache(maxsize=1)(asked_frames)
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,12 @@ class Task:
         """
         with suppress(InputError):
             if self.intact(self.part(number)):
-                return read_carried(self.carried(number))
+                with hdf5.existing_file(self.carried(number)) as file:
+                    if hdf5.read_attribute(file, "/", "lampest_format") == CARRIED:
+                        return {
+                            name: hdf5.read_array(file, f"/carried/{name}", (1, 2, 3, 4))
+                            for name in hdf5.children(file, "/carried")
+                        }
         return None
 
     def intact(self, file: Path) -> StoredCase | None:
@@ -122,6 +129,13 @@ class Task:
             if held.case_id == self.case.case_id:
                 return held
         return None
+
+    def write(self, file: Path, estimates: Estimates) -> StoredCase:
+        """Write estimates of the case atomically. Raises InputError as `check_folder`."""
+        result = case_result(self.case, estimates)
+        check_folder(self.folder / CASES)
+        write_results(file, [result])
+        return stored_cases(file)[0]
 
     def write_parts(self, solved: Iterable[tuple[int, Estimates, CarriedOver]]) -> Iterator[int]:
         """Write parts as they are solved; yield their numbers."""
@@ -134,9 +148,8 @@ class Task:
 
     def clear_parts(self) -> None:
         """Remove the case's own files from the folder of its parts, and nothing else."""
-        for pattern in ("*.h5", ".*.h5.*.part"):
-            for file in self.parts.glob(pattern):
-                remove_own(file)
+        for file in (*self.parts.glob("*.h5"), *self.parts.glob(".*.h5.*.part")):
+            remove_own(file)
         with suppress(OSError):
             self.parts.rmdir()
 
@@ -162,9 +175,7 @@ def write_segments(
             break
         steps += own
     stream, frames = _begun(prepared, task.case.estimator)
-    check_folder(task.folder / CASES)
-    write_results(file, [case_result(task.case, frames.estimates(stream, steps))])
-    return stored_cases(file)[0]
+    return task.write(file, frames.estimates(stream, steps))
 
 
 def solve_task(
@@ -191,9 +202,9 @@ def parts_to_solve(task: Task) -> list[int]:
     Damaged parts are removed.
     """
     stored = task.case.stored
-    previous = task.case.estimator.uses_previous
-    blocks = () if stored is None or previous else stored.measured_blocks
-    waiting = [number for number in blocks if task.carried_over(number) is None]
+    if stored is None or task.case.estimator.uses_previous:
+        return []
+    waiting = [number for number in stored.measured_blocks if task.carried_over(number) is None]
     for number in waiting:
         remove_own(task.part(number))
     return waiting
@@ -206,20 +217,29 @@ def solve_part(part: tuple[Task, int]) -> None:
     if isinstance(recording, StoredRecording):
         parts = _parts(task.case.estimator, recording)
         # The other parts count as solved.
-        solved = parts.estimates(lambda at: None if at == number else {})
-        for _ in task.write_parts(solved):
-            pass
+        list(task.write_parts(parts.estimates(lambda at: None if at == number else {})))
 
 
 def solve_case(task: Task) -> StoredCase:
     """Solve a case and write its result atomically."""
     recording = _recording(task.case.path, task.case.sha256)
     check_folder(task.folder / CASES)
-    if isinstance(recording, StoredRecording):
-        return solve_long(task, recording)
-    result = case_result(task.case, reconstruct(recording, task.case.estimator, _kept_frames(task)))
-    check_folder(task.folder / CASES)
-    write_results(task.file, [result])
+    if not isinstance(recording, StoredRecording):
+        estimates = reconstruct(recording, task.case.estimator, _kept_frames(task))
+        return task.write(task.file, estimates)
+    # A long case is solved part by part from its first unfinished part.
+    solved = list[int]()
+    whole = {*recording.measured_blocks} <= {*task.whole_parts}
+    if task.case.estimator.uses_previous or not whole:
+        parts = _parts(task.case.estimator, recording)
+        # Files after a newly solved part depend on another state and are solved again, unless parts
+        # are independent.
+        waiting = parts.estimates(
+            lambda at: None if solved and not parts.independent else task.carried_over(at)
+        )
+        solved.extend(task.write_parts(waiting))
+    join_case(task.file, [task.part(number) for number in task.whole_parts], task.case.recording)
+    task.clear_parts()
     return stored_cases(task.file)[0]
 
 
@@ -246,36 +266,9 @@ def solve_segment(segment: CaseSegment) -> list[Step]:
     return steps
 
 
-@lru_cache(maxsize=1)  # a process solves several segments of a case
-def _begun(prepared: Prepared, estimator: Estimator) -> tuple[Stream, MeasuredPart]:
-    return begun(prepared, estimator)
-
-
-def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
-    """Solve a case part by part from its first unfinished part, and write its result atomically."""
-    solved = list[int]()
-    stored_parts = set(task.whole_parts)
-    if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= stored_parts:
-        parts = _parts(task.case.estimator, stored)
-        # Files after a newly solved part depend on another state and are solved again, unless parts
-        # are independent.
-        waiting = parts.estimates(
-            lambda at: None if solved and not parts.independent else task.carried_over(at)
-        )
-        solved.extend(task.write_parts(waiting))
-    join_case(task.file, [task.part(number) for number in task.whole_parts], task.case.recording)
-    task.clear_parts()
-    return stored_cases(task.file)[0]
-
-
 @lru_cache(maxsize=1)  # a process solves several parts of a case
 def _parts(estimator: Estimator, stored: StoredRecording) -> Parts:
-    return Parts.of(stored, estimator, _asked(stored))
-
-
-@lru_cache(maxsize=1)  # successive cases are often estimators of one recording
-def _asked(stored: StoredRecording) -> tuple[Recording, Prepared]:
-    return asked_frames(stored)
+    return Parts.of(stored, estimator, _asked_frames(stored))
 
 
 def write_carried(path: Path, carried: CarriedOver) -> None:
@@ -289,15 +282,6 @@ def write_carried(path: Path, carried: CarriedOver) -> None:
         for name, values in carried.items():
             unit = "ohm" if name.endswith("previous") else "1"
             hdf5.write_dataset(group, name, values, unit, name.replace("_", " "))
-
-
-def read_carried(path: Path) -> CarriedOver:
-    """Return the memory after a part. Raises InputError where it cannot be read."""
-    with hdf5.existing_file(path) as file:
-        if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
-            raise InputError(f"{path}: is not the remainder of a part of a case")
-        names = hdf5.children(file, "/carried")
-        return {name: hdf5.read_array(file, f"/carried/{name}", (1, 2, 3, 4)) for name in names}
 
 
 def _kept_frames(
@@ -318,8 +302,7 @@ def _kept_frames(
             with os.fdopen(opened_for_locking(task.count(segment), make=True), "rb+") as file:
                 file.truncate(done)
         if so_far is not None and done < frames and now - written >= pause:
-            check_folder(task.folder / CASES)
-            write_results(task.unfinished, [case_result(task.case, so_far())])
+            task.write(task.unfinished, so_far())
             written = time.monotonic()
             pause = max(EVERY_SECONDS, (written - now) / KEPT_SHARE)
 
