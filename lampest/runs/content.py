@@ -121,7 +121,7 @@ def _frame_numbers(done: Estimates) -> Numbers:
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
 
 
-def _truth(done: Estimates) -> Array | None:
+def _true_cells(done: Estimates) -> Array | None:
     """Return true cells, (frames of the recording, rows, columns) ohm, or None.
 
     Places without an intact cell are NaN.
@@ -130,9 +130,15 @@ def _truth(done: Estimates) -> Array | None:
     return None if cells is None else np.where(done.recording.scene.broken, np.nan, cells)
 
 
+def _truth(done: Estimates) -> Array | None:
+    """Return true cells, (frames, rows, columns) ohm, or None."""
+    cells = _true_cells(done)
+    return None if cells is None else cells[done.frame]
+
+
 def _truth_baseline(done: Estimates) -> Array | None:
     """Return the mean of true unloaded cells, (rows, columns) ohm, or None."""
-    cells = _truth(done)
+    cells = _true_cells(done)
     unloaded = done.recording.role == UNLOADED
     return None if cells is None or not np.any(unloaded) else cells[unloaded].mean(axis=0)
 
@@ -291,7 +297,7 @@ class Content(Validated):
         "ohm",
         "true cell resistance",
         positive_or_missing,
-        value=lambda done: None if (cells := _truth(done)) is None else cells[done.frame],
+        value=_truth,
         shared=True,
     )
     truth_baseline: Array | None = _optional_cells(
