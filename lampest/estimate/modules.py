@@ -168,6 +168,11 @@ class CoupledStream(Stream):
         """
         return np.where(self._unread(self.resting), np.nan, super().baseline_resistance)
 
+    @property
+    def takes_blocks(self) -> bool:
+        """Whether frames may be solved in blocks: a joined network has no axis of frames."""
+        return False
+
     def push(self, readings: Readings) -> tuple[Stream, Step]:
         """Push a frame, as `Stream.push`."""
         stream, step = super().push(readings)

@@ -101,7 +101,7 @@ class Certificate:
         if kind is Definiteness.POSITIVE and not point.short and data.noise_known and curved.any():
             # √2·s₀ = √(mean ∂²φ/∂y² σ²)
             spread = (hessian.curvature * data.sigma.ravel() ** 2)[curved]
-            return replace(point, deviations=decrement / np.sqrt(np.mean(spread)))
+            return replace(point, deviations=decrement / float(np.sqrt(np.mean(spread))))
         return point
 
     @property
