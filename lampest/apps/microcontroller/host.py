@@ -41,6 +41,7 @@ void host_frame(const uint32_t *sums, float *change, float *numbers) {
     put(lampest_frame(&host_panel, sums, change), numbers);
 }
 void host_baseline(const uint32_t *sums, float *change, float *numbers) {
+    (void)change;
     put(lampest_baseline(&host_panel, sums), numbers);
 }
 int host_follow(void) { return lampest_follow(&host_panel); }
