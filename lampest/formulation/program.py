@@ -174,9 +174,7 @@ class Program(CasadiOwner):
         rows, columns = cost.panel.shape
         circuits = Circuit.of_readout(readout, (rows, columns), wiring)
         tie = casadi.SX.sym("tie", rows + columns, frames * len(circuits))
-        scale, cost_scale, split_scale = (
-            casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale")
-        )
+        scale, cost_scale, split_scale = map(casadi.SX.sym, ("scale", "cost_scale", "split_scale"))
         conductance = casadi.SX.sym("conductance", rows * columns, frames)
         equation = equation_of(readout, rows, columns) if symbolic is None else symbolic
         of_readout = 0 if symbolic is None else scale * symbolic.tie

@@ -113,7 +113,7 @@ class Changes:
         """
         return inverse_and_volume(self.covariance)
 
-    def selected(self, starts: Sequence[Mask], loaded: Mask | None = None) -> tuple[float, Mask]:
+    def selected(self, starts: Sequence[Mask]) -> tuple[float, Mask]:
         """Select the moved cells, see `select_changed`.
 
         Returns
@@ -125,7 +125,7 @@ class Changes:
         """
         precision, volume = self.inverse_and_volume
         slope = precision @ self.change
-        lost, moved = select_changed(slope, precision, starts, loaded)
+        lost, moved = select_changed(slope, precision, starts)
         return lost + float(self.change @ slope) - volume, moved
 
     def cost_of_field(self, place: Numbers, changed: Mask) -> float:
@@ -362,9 +362,7 @@ def usual_starts(change: Array) -> list[Mask]:
     ]
 
 
-def select_changed(
-    slope: Array, precision: Array, starts: Sequence[Mask], loaded: Mask | None = None
-) -> tuple[float, Mask]:
+def select_changed(slope: Array, precision: Array, starts: Sequence[Mask]) -> tuple[float, Mask]:
     """Return the moved cells with the largest evidence that a search from several starts finds.
 
     Parameters
@@ -375,8 +373,6 @@ def select_changed(
         P.
     starts : sequence of boolean array, shape (cells,)
         Moved cells that each search begins with; the best end is returned.
-    loaded : boolean array, shape (cells,), optional
-        Cells that moved in any case.
 
     Returns
     -------
@@ -385,14 +381,13 @@ def select_changed(
     boolean array, shape (cells,)
         The moved cells.
     """
-    fixed = np.zeros(len(slope), dtype=bool) if loaded is None else loaded
     slab = precision + np.eye(len(slope))
-    ends = (_exchange_cells(slope, slab, fixed | start, fixed) for start in starts)
+    ends = (_exchange_cells(slope, slab, start) for start in starts)
     return min(ends, key=lambda selection: selection[0])
 
 
-def _exchange_cells(slope: Array, slab: Array, moved: Mask, fixed: Mask) -> tuple[float, Mask]:
-    """Exchange single cells until no exchange lowers −2 ln evidence; fixed cells stay moved.
+def _exchange_cells(slope: Array, slab: Array, moved: Mask) -> tuple[float, Mask]:
+    """Exchange single cells until no exchange lowers −2 ln evidence.
 
     Parameters
     ----------
@@ -400,7 +395,7 @@ def _exchange_cells(slope: Array, slab: Array, moved: Mask, fixed: Mask) -> tupl
         s.
     slab : array, shape (cells, cells)
         P + 1.
-    moved, fixed : boolean array, shape (cells,)
+    moved : boolean array, shape (cells,)
     """
     inside = np.flatnonzero(moved)
     outside = np.flatnonzero(~moved)
@@ -424,7 +419,6 @@ def _exchange_cells(slope: Array, slab: Array, moved: Mask, fixed: Mask) -> tupl
         # if it is removed: MOVED_COST − s²/|p| − ln |p|.
         pivots = np.maximum(np.abs(table.diagonal()), MIN_PIVOT)
         gains = np.where(moved, -1, 1) * (table[:, -1] ** 2 / pivots - MOVED_COST) - np.log(pivots)
-        gains[fixed] = -np.inf
         cell = int(gains.argmax())
         if not gains[cell] > 0:
             break

@@ -31,6 +31,7 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
+from lampest.panel.sizes import Systematic
 from lampest.posterior.gaussian import forms_over_scales, lower_root
 from lampest.posterior.linear import inverse_and_volume
 from lampest.recording.readings import Readings
@@ -147,14 +148,7 @@ def at_rest(
     own = own_errors(resting.value, scene, sizes.size(READINGS))
     cells, jacobian, target = _linearised(data, resting, own, possible.film_scatter, near)
     network = data.network(0, np.exp(cells))
-    parts = {
-        error.setting: error_columns((error,), network, resting.value, scene, sizes)[
-            :, resting.plain
-        ]
-        for error in sized_effects(sizes)
-    }
-    settings = tuple(setting for setting, part in parts.items() for _ in part)
-    errors = np.concatenate([part - part.mean(axis=0) for part in parts.values()]).T
+    settings, errors = _centred_errors(scene, resting, network, sizes)
     mean, root = _prior(settings, possible, known)
     columns = errors @ root
     variance = np.diag(resting.known_sigma[resting.plain] ** 2) + columns @ columns.T
@@ -167,6 +161,19 @@ def at_rest(
     shown = others[:, :-1].T
     mean = mean + root @ (shown @ others[:, -1])
     return settings, mean, root @ (np.eye(len(root)) - shown @ shown.T) @ root.T
+
+
+def _centred_errors(
+    scene: Scene, resting: Readings, network: Network, sizes: Systematic
+) -> tuple[tuple[str, ...], Array]:
+    """Return the setting of each error, and U of the plain readings, (readings, errors)."""
+    settings = list[str]()
+    columns = list[Array]()
+    for error in sized_effects(sizes):
+        of_error = error_columns((error,), network, resting.value, scene, sizes)[:, resting.plain]
+        settings += len(of_error) * [error.setting]
+        columns += [*(of_error - of_error.mean(axis=0))]
+    return tuple(settings), np.array(columns).T
 
 
 def _prior(

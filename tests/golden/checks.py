@@ -451,10 +451,7 @@ def changed_row() -> dict[str, Any]:
         "away": [evidence.away_from_changed(~part, (4, 5)) for part in (moved, change > 0)],
         "still": [evidence.mostly_still(part) for part in (moved, ~moved)],
         "selected": [
-            evidence.select_changed(
-                precision @ change, precision, evidence.usual_starts(change), loaded
-            )
-            for loaded in (None, change > 0.15)
+            evidence.select_changed(precision @ change, precision, evidence.usual_starts(change))
         ],
         "scores": evidence.scores_with_errors(change, precision, rng.standard_normal((20, 4))),
     }
