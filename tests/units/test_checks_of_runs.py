@@ -257,7 +257,7 @@ def test_a_check_beside_the_recording_serves_info_run_and_detect(
     lines = list(describe(recording))
     assert beside.is_file() and list(describe(recording)) == lines
     run(folder)
-    assert not answer_recording(recording).waits
+    assert answer_recording(recording).doubts is None
     assert checked == ["mine"]
     shutil.rmtree(folder / "out")
     beside.write_text(beside.read_text()[:100])
