@@ -54,7 +54,6 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ),
         ("another circuit is better by 15 in", alternative_parameters.DOUBTFUL_GAIN, 15),
         ("If more than a tenth of the readings is missing", model_check.MAX_MISSING, 0.1),
-        ("up to three:", nuisances.MAX_CANDIDATES, 3),
         ("On panels of more than 400 cells", reference.MAX_CELLS, 400),
     ],
     "docs/theory/recognition.md": [
