@@ -192,7 +192,7 @@ class Scanning:
         return (self.last,)
 
     def _placed(self, frame: AnyFrame, at: float) -> Sample:
-        """Return a frame that has just arrived as a sample of this session, at a time in s."""
+        """Return a frame that has just arrived as a sample, at a time in s since the first one."""
         return Sample(
             frame=frame,
             hello=self.hello,
