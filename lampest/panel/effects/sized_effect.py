@@ -42,7 +42,7 @@ class SizedEffect(ABC):
 
     def sentence(self, size: float, deviation: float) -> str:
         """Return what a recording shows in words, with the size and its standard deviation."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} is not advised")
 
     def columns(self, circuit: Readout, values: Array, *sizes: Any) -> Array:
         """Return what one standard deviation of each error does to a frame, (n, rows, columns).
@@ -55,7 +55,7 @@ class SizedEffect(ABC):
         *sizes
             Sizes of the errors, those of `lampest.posterior.frame_noise`.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} leaves no error in a frame")
 
     def disturbed(
         self,
@@ -78,4 +78,4 @@ class SizedEffect(ABC):
         *sizes
             Sizes of the effect, those of `unmodelled`.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} does not act at the converter")

@@ -81,7 +81,8 @@ def plot_results(
 ) -> list[Path]:
     """Draw every recording of a results file into ``<kind>_<recording>.png``; return the files.
 
-    Raises InputError for unknown names, unreadable results, nothing to draw, or an unfit place.
+    Raises InputError for an unknown plot, frame, recording or estimator, unreadable results,
+    nothing to draw, or a place that cannot be written.
 
     Parameters
     ----------
@@ -90,7 +91,8 @@ def plot_results(
     out : path, optional
         Folder, by default that of the results, or a .png, .svg or .pdf file for a single picture.
     show : str or Plot, optional
-        By default ``sweep`` after a sweep of numbers, unless a frame is named, else ``contours``.
+        Kind of plot; by default ``sweep`` after a sweep of numbers, unless a frame is named, and
+        else ``contours``.
     columns, frames : sequence of Column, and range, optional
         As in `read_results`.
     on_picture : callable
