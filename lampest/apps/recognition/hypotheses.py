@@ -6,7 +6,7 @@ makes it oscillate at one rate, too:
 - *breath*: the suction swings, and with it the rim that bears it;
 - *a pushed rim*: only the rim's pressure swings, as where a body beside the load beats;
 - *a tugged load*: its place or its tilt swings, as on a hose or in a current;
-- *cells beside it*: something beats on them too faintly to be seen as a load of its own.
+- *anything else*, such as a beat on cells beside it that is too faint to be seen as a load.
 
 Water that moves presses on the whole panel. It is no hypothesis: lines without a load show it, and
 it is taken off the readings first (`lampest.apps.recognition.steady_frames`).
@@ -32,10 +32,6 @@ MIN_DEPTH = 0.03
 # −ln of the shares of mouths that never show their breath, because it is faint or at half the frame
 # rate, and of windows in which a mouth pauses: one in ten each, assumed.
 SILENT_LOG_ODDS = log(10)
-# Share of windows in which a suction that does not breathe begins to leak, and how fast, 1/s:
-# assumed. The bend of such a suction resembles a slow breath.
-LEAK_SHARE = 0.05
-LEAK_SD = 0.3
 # −ln of a share of one in twenty, assumed: of steps that are noise.
 RARE_LOG_ODDS = log(20)
 # Exponent of evidence ratios, because films and loads deviate from their models in more ways than
@@ -53,24 +49,22 @@ class Cause(NamedTuple):
         Its field of `lampest.apps.recognition.swings.Patterns`.
     largest : float
         Largest amplitude, in units of the pattern.
-    odds, odds_adjoined : float
-        Prior odds of breath against it, and the same where a body or another load adjoins the load
-        and may move it.
+    odds : float
+        Prior odds of breath against it.
     """
 
     pattern: str
     largest: float
     odds: float
-    odds_adjoined: float
 
 
 # Above 15 % the unevenness of a film would explain the swings of a shaken cup.
-BREATH = Cause("own", 0.15, 1.0, 1.0)
+BREATH = Cause("own", 0.15, 1.0)
 # What sucks and breathes always does, while rims and places swing at one rate only where something
-# pushes them. A rim swings by all of its pressure, a place ten times as far as usual, and the
-# resistance of a cell beside by 5 %.
-RIM = Cause("rim", 1.0, 10.0, 0.1)
-MOVES = Cause("moves", 10.0, 10.0, 0.1)
-BESIDE = Cause("beside", 0.05, 30.0, 0.1)
+# pushes them. A rim swings by all of its pressure, and a place ten times as far as usual.
+RIM = Cause("rim", 1.0, 10.0)
+MOVES = Cause("moves", 10.0, 10.0)
+# of breath, against swings that none of these causes explains
+UNEXPLAINED_ODDS = 30.0
 # of breath, against all other causes together
-PRIOR_ODDS = 1 / sum(1 / cause.odds for cause in (RIM, MOVES, BESIDE))
+PRIOR_ODDS = 1 / (1 / RIM.odds + 1 / MOVES.odds + 1 / UNEXPLAINED_ODDS)

@@ -17,7 +17,7 @@ from lampest.apps.recognition.mouth_model import priors
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.files.levels import NOISE_REACH
-from lampest.panel.panel import Array, Mask, Panel
+from lampest.panel.panel import Array
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
 
 # Assumed relative standard deviation of the whole rim's swing against that of suction, because the
@@ -31,9 +31,6 @@ CURVE_SD = 0.27
 # Suction from which an alternative curve through the published point may begin, instead of 0 kPa.
 THRESHOLD_KPA = -2.0
 WAVE_KPA = 0.2  # pressure of a wave, by which slopes are taken
-# Distances of a body's cells to the nearest of a load, in pitches, at which it may move the rim.
-# Nearer ones may be of the rim itself.
-ADJOINS_PITCHES = (1.5, 3.2)
 
 
 class Patterns(NamedTuple):
@@ -52,21 +49,14 @@ class Patterns(NamedTuple):
         Place and tilt of the load.
     others : array
         Further changes of any size, which are projected out.
-    beside : array
-        Cells that neither the load nor `others` contain, each by itself; none in `of`.
     curve : float
         Relative standard deviation of the depth by a curve under suction that was not measured.
-    adjoining : array
-        The part of `others` by loads and bodies that adjoin the load and may move its rim; none in
-        `of`.
     """
 
     own: Array
     rim: Array
     moves: Array
     others: Array
-    beside: Array
-    adjoining: Array
     curve: float = 0.0
 
     @classmethod
@@ -108,8 +98,7 @@ class Patterns(NamedTuple):
         moving = np.column_stack(
             [moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))]
         )
-        none = np.zeros((len(by_cell), 0))
-        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, none, none, curve)
+        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, curve)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
         """Project patterns and changes (frames, readings) on the complement of `others`.
@@ -125,7 +114,7 @@ class Patterns(NamedTuple):
 
     def whitened(self, whitening: Array) -> "Patterns":
         """Return the patterns of readings that a matrix (readings, readings) combines once more."""
-        roots = ("own", "rim", "moves", "others", "beside")
+        roots = ("own", "rim", "moves", "others")
         return self._replace(**{name: whitening @ getattr(self, name) for name in roots})
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
@@ -193,33 +182,20 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
         under = (disc.point.own != 0).ravel()
         beside = changed.ravel() & ~under
         moves = (sways[:, None] * disc.point.slopes[:, under])[sways > 0]
-        pattern = Patterns.of(
-            by_cell=by_cell[:, under],
-            rise=rise.ravel()[under],
-            slopes=slopes[:, under],
-            spread=spread[under],
-            moves=moves,
-            others=np.column_stack(
-                [whitening.sum(axis=1), by_cell[:, beside], by_cell @ by_water.ravel()]
-            ),
-            curve=curve,
-        )
         patterns.append(
-            pattern._replace(
-                beside=by_cell[:, ~(under | beside)],
-                adjoining=by_cell[:, beside & adjoin(panel, beside, under)],
+            Patterns.of(
+                by_cell=by_cell[:, under],
+                rise=rise.ravel()[under],
+                slopes=slopes[:, under],
+                spread=spread[under],
+                moves=moves,
+                others=np.column_stack(
+                    [whitening.sum(axis=1), by_cell[:, beside], by_cell @ by_water.ravel()]
+                ),
+                curve=curve,
             )
         )
     return patterns
-
-
-def adjoin(panel: Panel, body: Mask, load: Mask) -> bool:
-    """Return whether one of a body's cells, (cells,), is within ADJOINS_PITCHES of a load's."""
-    x, y = (line.ravel() / panel.pitch_mm for line in panel.places_mm)
-    distance = np.hypot(x[body, None] - x[load], y[body, None] - y[load])
-    nearest = np.fmin.reduce(distance, axis=1, initial=np.inf)
-    least, most = ADJOINS_PITCHES
-    return bool(np.any((nearest > least) & (nearest < most)))
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:

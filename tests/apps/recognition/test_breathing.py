@@ -12,8 +12,8 @@ from lampest.apps.recognition.breath import Breath, breath
 from lampest.apps.recognition.breathing import Breathing
 from lampest.apps.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, settled
-from lampest.apps.recognition.swings import Patterns, adjoin
-from lampest.panel.panel import Array, Panel
+from lampest.apps.recognition.swings import Patterns
+from lampest.panel.panel import Array
 
 TIMES = np.arange(0, 8, 0.25)
 READINGS = 40
@@ -34,7 +34,6 @@ def window(
     waves: float = 0.0,
     wild: bool = False,
     strong: float = 1.0,
-    body: float | None = None,
 ) -> Breath:
     """Return the breath in 8 s at four frames a second, whose parts swing at 1.1 Hz.
 
@@ -58,8 +57,6 @@ def window(
         Whether there are outliers of fifty standard deviations.
     strong : float
         Factor of the readings' change with suction.
-    body : float or None
-        Swing of a body that adjoins the load; None where there is no body.
     """
     rng = np.random.default_rng(seed)
     rise = np.repeat([-2.0, 1.0], READINGS // 2)
@@ -76,11 +73,7 @@ def window(
     changes = changes + waves * np.outer(swinging[0], film * supply[:, 0])
     changes += wild * 50 * (rng.random(changes.shape) < 0.003)
     spread = 0.2 * np.abs(slopes)
-    bodies = rng.standard_normal((READINGS, int(body is not None)))
-    changes += (body or 0.0) * np.outer(swinging[0], bodies.sum(axis=1))
-    others = np.hstack([supply, bodies])
-    known = Patterns.of(np.eye(READINGS), rise, slopes[None], spread, moves, others)
-    known = known._replace(adjoining=bodies)
+    known = Patterns.of(np.eye(READINGS), rise, slopes[None], spread, moves, supply)
     return breath(SteadyFrames.of(TIMES, changes), settled(changes), known)
 
 
@@ -145,52 +138,6 @@ def test_a_stronger_movement_at_another_rate_hides_no_breath(seed: int) -> None:
 def test_a_breath_may_be_faster_and_slower_within_seconds(seed: int) -> None:
     shown = window(own=0.06, wanders=0.2, seed=seed)
     assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.8
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_cells_that_swing_beside_a_load_are_not_its_breath_and_hide_none(seed: int) -> None:
-    """They move readings that the load moves, too; a breath moves no others."""
-    rng = np.random.default_rng(seed)
-    rise = np.repeat([-2.0, 1.0], READINGS // 2)
-    slopes = np.where(rise < 0, -300.0, 90.0)
-    moves = 8 * rng.standard_normal((1, READINGS))
-    load, beside = np.eye(2 * READINGS)[:, :READINGS], np.eye(2 * READINGS)[:, READINGS:]
-    mixed = np.linalg.qr(rng.standard_normal((2 * READINGS, 2 * READINGS)))[0]
-    supply = mixed @ np.ones((2 * READINGS, 1))
-    known = Patterns.of(
-        mixed @ load, rise, slopes[None], 0.2 * np.abs(slopes), moves, supply
-    )._replace(beside=600 * mixed @ beside)
-    wave = np.sin(2 * np.pi * 1.1 * TIMES)
-    breathing = mixed @ load @ (0.05 * slopes)
-    swings = 20 * rng.standard_normal(READINGS)
-    beating = mixed @ beside @ (swings - swings.mean())
-    alone, hidden = (
-        breath(SteadyFrames.of(TIMES, changes), changes, known).probability
-        for swing in (beating, breathing + beating)
-        for changes in [np.outer(wave, swing) + rng.standard_normal((len(TIMES), 2 * READINGS))]
-    )
-    assert alone < 0.5 and hidden > 0.95
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_neighbouring_body_that_swings_makes_swings_of_the_rim_likelier(seed: int) -> None:
-    """A swing of the whole suction remains a breath."""
-    still, swinging = (
-        shown.suction / (1 - shown.suction)
-        for swing in (0.0, 20.0)
-        for shown in [window(own=0.01, rim=0.02, body=swing, seed=seed)]
-    )
-    assert still > 5 * swinging
-    assert window(own=0.08, body=20.0, seed=seed).suction > 0.95
-
-
-def test_a_body_is_distinguished_from_cells_of_the_rim() -> None:
-    panel = Panel(6, 6)
-    load, rim, body, far = np.zeros((4, 6, 6), dtype=bool)
-    load[1:3, 1:3] = rim[3, 1] = body[1, 4] = far[5, 5] = True
-    beside = [adjoin(panel, some.ravel(), load.ravel()) for some in (rim, body, far, rim | body)]
-    assert beside == [False, True, False, True]
-    assert not adjoin(panel, np.zeros(36, dtype=bool), load.ravel())
 
 
 def test_swings_within_a_pull_are_no_outliers() -> None:
