@@ -180,9 +180,7 @@ class OwnSolution(SymbolsOwner):
         A cell at a bound has zero, an undetermined one infinity. The misfit must be weighted by the
         noise for these numbers to have a meaning.
         """
-        # r = s/g: the deviation of r is r²/s times that of g
-        of_conductance = self._deviations("conductance").reshape(self.instance.shape)
-        return self.cell_resistance**2 / self.instance.scale * of_conductance
+        return self._deviations("cell_resistance").reshape(self.instance.shape)
 
     def value(self, of: str | casadi.SX) -> Array:
         """Return the value of an expression of the program's symbols, or of a name, of its shape.
@@ -505,16 +503,9 @@ class OwnSolution(SymbolsOwner):
         curvature = modes.values[modes.solid] * (self.instance.cost_scale / 2)
         return directions[:, modes.solid] / np.sqrt(curvature), directions[:, ~modes.solid]
 
-    def _deviations(self, name: str) -> Array:
-        """Return the standard deviations of one block of unknowns, in the program's unit."""
-        chosen = self.places[name]
-        if not self.solved:
-            return np.full(chosen.stop - chosen.start, np.nan)
-        factor, undetermined = self._spread
-        deviations = np.linalg.norm(factor[chosen], axis=1)
-        largest = np.abs(undetermined).max(axis=0, initial=0.0)
-        free = np.any(np.abs(undetermined[chosen]) > VERIFIED * largest, axis=1)
-        return np.where(free, np.inf, deviations)
+    def _deviations(self, of: str) -> Array:
+        """Return the standard deviations of a quantity, (size,), as `covariance` has them."""
+        return np.sqrt(np.diag(self.covariance(of)))
 
     def _free(self, outer: Array) -> Mask:
         """Return which rows of a quantity move, beyond rounding, along undetermined directions.

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from math import ceil
 
@@ -231,18 +232,15 @@ class _Network:
         Frames of the network, with its scene.
     readings : Readings
         Readings of all its frames, (frames, rows, columns).
-    resting : Readings
-        Its unloaded readings, (rows, columns).
     """
 
     recording: Recording
     readings: Readings
-    resting: Readings
 
-    @classmethod
-    def of(cls, recording: Recording, readings: Readings) -> "_Network":
-        """Return the network of a recording."""
-        return cls(recording, readings, baseline_readings(recording, readings))
+    @cached_property
+    def resting(self) -> Readings:
+        """Its unloaded readings, (rows, columns)."""
+        return baseline_readings(self.recording, self.readings)
 
     @property
     def kind(self) -> Hashable:
@@ -277,14 +275,14 @@ def first_stream(
     period = frame_period(recording) if period is None else period
     layout = scene.panel.modules
     if layout is None:
-        whole = _Network.of(recording, readings)
+        whole = _Network(recording, readings)
         return Stream.begin(_weighted(estimator, [whole]), scene, period, whole.resting, noise)
     from lampest.estimate.modules import begin_networks, network_readings, network_scenes
 
     recordings = [recording] if layout.coupled else recording.modules
     parts = network_readings(scene, readings)
     networks = {
-        number: _Network.of(replace(recordings[number], scene=own), parts[number])
+        number: _Network(replace(recordings[number], scene=own), parts[number])
         for number, own in network_scenes(scene, estimator).items()
     }
     similar = dict[Hashable, list[_Network]]()

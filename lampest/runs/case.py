@@ -16,7 +16,7 @@ from lampest.files.typed import installed
 from lampest.panel.panel import Array, Mask
 from lampest.panel.scene_file import scene_text
 from lampest.recording.file import coordinates
-from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Columns, ReservedColumn, Variable
+from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Columns, ReservedColumn
 from lampest.runs.content import Content
 
 if TYPE_CHECKING:
@@ -258,14 +258,14 @@ class CaseResult(Content):
         return names | texts | versions
 
     @property
-    def coordinates(self) -> dict[str, Variable]:
+    def coordinates(self) -> dict[str, Column]:
         """Row and column, and y and x (of outlines in space z, too) in mm, by name."""
         return {
-            name: Variable(ReservedColumn(name, along, units, words, dtype=at.dtype.type), at)
+            name: ReservedColumn(name, along, units, words, dtype=at.dtype.type, values=at)
             for name, (along, at, units, words) in coordinates(self.scene.panel).items()
         }
 
-    def variables(self, columns: Columns = (), *, raw: bool = False) -> dict[str, Variable]:
+    def variables(self, columns: Columns = (), *, raw: bool = False) -> dict[str, Column]:
         """Return every column and figure by label, in the unit of the readout.
 
         Parameters
@@ -276,7 +276,7 @@ class CaseResult(Content):
             Whether flags have the values of files; otherwise they are NaN for cells without an
             estimate.
         """
-        variables = []
+        variables = list[Column]()
         missing = np.isnan(self.cell_resistance)
         for column in all_columns(columns):
             values = self.column(column.name)
@@ -286,11 +286,11 @@ class CaseResult(Content):
             if flagged and not raw and missing.any():
                 values = np.where(missing, np.nan, values)
                 column = replace(column, dtype=np.float64)
-            variables.append(Variable(column.of(self.scene.circuit), values))
+            variables.append(replace(column.of(self.scene.circuit), values=values))
         for figures in FIGURES:
             held = getattr(self, figures.name)
-            variables += [Variable(figures.column(name), held[name]) for name in held]
-        return {variable.column.label: variable for variable in variables}
+            variables += [figures.column(name, held[name]) for name in held]
+        return {column.label: column for column in variables}
 
     def to_xarray(self, columns: Columns = ()) -> Dataset:
         """Return an xarray.Dataset over time (s), row and column, with x and y in mm.
@@ -305,7 +305,7 @@ class CaseResult(Content):
         axes = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | self.coordinates
         parts = [
             {
-                name: (each.column.axes, np.asarray(each.values), each.column.attributes)
+                name: (each.axes, np.asarray(each.values), each.attributes)
                 for name, each in part.items()
             }
             for part in (held, axes)
@@ -319,13 +319,13 @@ class CaseResult(Content):
         cells are repeated. Units are in `attrs["units"]`. Raises InputError as `to_xarray`.
         """
         held = self.long_columns(columns)
-        table = data_frame({name: variable.values for name, variable in held.items()})
+        table = data_frame({name: column.values for name, column in held.items()})
         table.attrs = self.attributes | {
-            "units": {name: each.column.units for name, each in held.items() if name not in CELLS}
+            "units": {name: each.units for name, each in held.items() if name not in CELLS}
         }
         return table
 
-    def long_columns(self, columns: Columns = ()) -> dict[str, Variable]:
+    def long_columns(self, columns: Columns = ()) -> dict[str, Column]:
         """Return the columns of `to_dataframe`, without need of pandas.
 
         Raises InputError as `to_xarray`.
@@ -334,12 +334,12 @@ class CaseResult(Content):
         held = self.variables(columns)
         first = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | self.coordinates
         # Figures depend on the case, and are left out.
-        held = first | {name: each for name, each in held.items() if "/" not in each.column.path}
+        held = first | {name: each for name, each in held.items() if "/" not in each.path}
         sizes = dict(zip(MAPS, self.measured.shape, strict=True))
-        for name, variable in held.items():
-            shape = [size if axis in variable.column.axes else 1 for axis, size in sizes.items()]
-            values = np.broadcast_to(np.reshape(variable.values, shape), self.measured.shape)
-            held[name] = replace(variable, values=values.ravel())
+        for name, column in held.items():
+            shape = [size if axis in column.axes else 1 for axis, size in sizes.items()]
+            values = np.broadcast_to(np.reshape(column.values, shape), self.measured.shape)
+            held[name] = replace(column, values=values.ravel())
         return held
 
     def described(self, columns: Columns = ()) -> tuple[Column, ...]:

@@ -8,7 +8,7 @@ declared in `lampest.runs.content`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,6 +103,8 @@ class Column(Validated):
     as_volt : name of the dataset if the readout's unit is volt, which is then the unit; '' if the
         unit is fixed.
     flags : meanings of values that are no amounts: (value, a word of ASCII letters and _).
+    values : the values of a case over the axes, an array or texts; None in a declaration. Files,
+        labelled arrays, tables and exports are made of columns with values.
 
     Raises InputError where the name, the axes or a flag's word are invalid.
 
@@ -129,6 +131,7 @@ class Column(Validated):
     shared: bool = False
     as_volt: str = ""
     flags: tuple[tuple[int, str], ...] = ()
+    values: Any = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if not (self.path.isidentifier() and self.path.isascii()) or self.path in RESERVED:
@@ -165,6 +168,13 @@ class Column(Validated):
     def stored_dtype(self) -> type:
         """Type of numbers in a file, where truth values are 0 and 1."""
         return np.uint8 if self.dtype is bool else self.dtype
+
+    @property
+    def stored(self) -> Any:
+        """Values for a file: texts in ASCII, truth values as 0 and 1."""
+        if self.dtype is str:
+            return hdf5.ascii_array(self.values)
+        return np.asarray(self.values).astype(self.stored_dtype)
 
     @property
     def meaning(self) -> str:
@@ -230,31 +240,6 @@ class ReservedColumn(Column):
         pass
 
 
-@dataclass(frozen=True, eq=False)
-class Variable:
-    """Values with their column, as a variable of xarray has its dimensions and attributes.
-
-    Files, labelled arrays, tables and exports are made of variables.
-
-    Attributes
-    ----------
-    column : Column
-        Name, axes, unit and meaning.
-    values : array or texts
-        Values over the axes.
-    """
-
-    column: Column
-    values: Any
-
-    @property
-    def stored(self) -> Any:
-        """Values for a file: texts in ASCII, truth values as 0 and 1."""
-        if self.column.dtype is str:
-            return hdf5.ascii_array(self.values)
-        return np.asarray(self.values).astype(self.column.stored_dtype)
-
-
 @dataclass(frozen=True)
 class Figures:
     """Columns over the frames whose names depend on the case, in a group of their own.
@@ -278,7 +263,8 @@ class Figures:
     units: str = "1"
     name: str = ""
 
-    def column(self, figure: str) -> Column:
+    def column(self, figure: str, values: Array) -> Column:
         """Return the column of a figure, which lies along the frames."""
         dataset = f"{self.folder}/{figure}"
-        return ReservedColumn(figure, FRAMES, self.units, self.long_name(figure), dataset=dataset)
+        words = self.long_name(figure)
+        return ReservedColumn(figure, FRAMES, self.units, words, dataset=dataset, values=values)

@@ -61,7 +61,7 @@ def case_result(case: Case, estimates: Estimates, *, checked: bool = False) -> C
 def named_result(
     estimates: Estimates,
     name: str | None,
-    columns: Columns = (),
+    columns: Columns,
 ) -> CaseResult:
     """Return the result of estimates without a run file. Raises InputError as `case_result`.
 

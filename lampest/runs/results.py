@@ -32,7 +32,7 @@ from lampest.runs.case import (
     all_columns,
 )
 from lampest.runs.case import CaseResult as CaseResult
-from lampest.runs.columns import FRAMES, MAPS, Columns, Variable
+from lampest.runs.columns import FRAMES, MAPS, Column, Columns
 
 FORMAT = "results/1"
 Reader = Callable[[str | Path], "Results"]
@@ -245,7 +245,7 @@ def _write_case(group: Group, case: CaseResult, columns: Columns) -> None:
             texts["start_time"] = case.start_time, "date and time at 0 s of the time axis, ISO 8601"
         for name, (text, words) in texts.items():
             hdf5.write_dataset(measurement, name, hdf5.ascii_array(text), "1", words)
-        _write_variables(measurement, case, [each for each in variables if each.column.shared])
+        _write_variables(measurement, case, [each for each in variables if each.shared])
     estimate = _group_of_data(group, case.estimator, "cell_resistance")
     attributes: dict[str, Any] = {
         name: value
@@ -257,7 +257,7 @@ def _write_case(group: Group, case: CaseResult, columns: Columns) -> None:
     attributes["joint_start"] = np.uint8(case.joint_start)
     hdf5.set_attributes(estimate, **attributes)
     axes = (TIME.name, FRAME.name)
-    own = [each for each in variables if not each.column.shared or each.column.name in axes]
+    own = [each for each in variables if not each.shared or each.name in axes]
     _write_variables(estimate, case, own)
 
 
@@ -299,16 +299,15 @@ def _group_of_data(parent: Group, name: str, signal: str) -> Group:
     return group
 
 
-def _write_variables(group: Group, case: CaseResult, variables: Iterable[Variable]) -> None:
+def _write_variables(group: Group, case: CaseResult, variables: Iterable[Column]) -> None:
     """Write coordinates, columns and figures of a case into a group, then attach the axes."""
     axes = {}
     places = case.coordinates
-    for variable in (*places.values(), *variables):
-        column = variable.column
+    for column in (*places.values(), *variables):
         attributes = column.attributes
         if column.name not in places and column.axes != FRAMES:
             attributes["coordinates"] = POSITIONS
-        hdf5.write_dataset(group, column.path, variable.stored, **attributes)
+        hdf5.write_dataset(group, column.path, column.stored, **attributes)
         if column.axes == (column.name,):
             group[column.path].make_scale(column.name)
         else:

@@ -446,7 +446,11 @@ def columns_row() -> dict[str, Any]:
         ]
         rows[column.name] = (
             checks,
-            {key: re.sub(" at 0x[^>]*", "", str(value)) for key, value in vars(column).items()},
+            {
+                key: re.sub(" at 0x[^>]*", "", str(value))
+                for key, value in vars(column).items()
+                if key != "values"  # which no declaration has
+            },
         )
     return rows
 

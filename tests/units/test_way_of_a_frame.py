@@ -18,7 +18,7 @@ from lampest.runs.executors import Serial
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "reference" / "architecture.md"
 # Words of the page for objects whose class has another name, and what follows the objects.
-CLASSES = {"estimates": "Estimates", "columns": "Variable"}
+CLASSES = {"estimates": "Estimates", "columns": "Column"}
 NO_OBJECT = "file, page, stream"
 
 

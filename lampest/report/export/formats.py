@@ -202,10 +202,9 @@ def long_tables(cases: Cases) -> tuple[list[Table], dict[str, Column]]:
             word: np.ma.masked_array(np.full(case.measured.size, getattr(case, word), object))
             for word in NAMES
         }
-        for label, variable in case.long_columns().items():
-            column = variable.column
+        for label, column in case.long_columns().items():
             name = label if column.units == "1" else f"{label}_{column.units}"
-            values = np.asarray(variable.values)
+            values = np.asarray(column.values)
             missing = values != values  # NaN
             dtype = dtypes.get(label, values.dtype)
             filled = np.where(missing, 0, values) if missing.any() else values
@@ -243,7 +242,7 @@ def _struct(case: CaseResult) -> dict[str, Any]:
     """Return a case as a struct of MATLAB: texts, values, places, units, meanings and flags."""
     held = case.variables()
     places = case.coordinates
-    columns = {name: variable.column for name, variable in (held | places).items()}
+    columns = held | places
     flags = {
         name: {
             "values": np.array([value for value, _ in column.flags]),
@@ -253,15 +252,15 @@ def _struct(case: CaseResult) -> dict[str, Any]:
         if column.flags
     }
     values = {
-        name: _cells(variable.values) if variable.column.dtype is str else variable.stored
-        for name, variable in held.items()
+        name: _cells(column.values) if column.dtype is str else column.stored
+        for name, column in held.items()
     }
     return {
         **case.attributes,
         **values,
-        **{name: variable.values for name, variable in places.items()},
+        **{name: column.values for name, column in places.items()},
         "units": {name: column.units for name, column in columns.items() if name not in CELLS},
-        "long_name": {name: variable.column.long_name for name, variable in held.items()},
+        "long_name": {name: column.long_name for name, column in held.items()},
         "flags": flags,
     }
 

@@ -115,15 +115,14 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
     from pynwb import TimeSeries
 
     held = {
-        name: variable
-        for name, variable in case.variables().items()
-        if variable.column.shared == shared and name != TIME.name
+        name: column
+        for name, column in case.variables().items()
+        if column.shared == shared and name != TIME.name
     }
-    for name, variable in held.items():
-        column = variable.column
+    for name, column in held.items():
         if column.dtype is not str and column.axes != CELLS:
             known = {"name": name, "unit": column.units, "description": column.meaning}
-            yield TimeSeries(data=variable.stored, timestamps=case.time, **known)
+            yield TimeSeries(data=column.stored, timestamps=case.time, **known)
     panel = case.scene.panel
     rows, lines = np.indices(panel.shape)
     x, y = panel.places_mm
@@ -137,15 +136,14 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
     if panel.heights_mm is not None:
         places.append(("z_mm", place, panel.heights_mm))
     time = [("time", "time of the frame, s", case.time)]
-    texts = {name: each for name, each in held.items() if each.column.dtype is str}
-    fixed = {name: each for name, each in held.items() if each.column.axes == CELLS}
+    texts = {name: each for name, each in held.items() if each.dtype is str}
+    fixed = {name: each for name, each in held.items() if each.axes == CELLS}
     for table, words, columns, requested in (
         ("frames", "what frames say in words", time, texts),
         ("cells", "what has no time", places, fixed),
     ):
         columns += [
-            (name, f"{each.column.meaning}, {each.column.units}", each.values)
-            for name, each in requested.items()
+            (name, f"{each.meaning}, {each.units}", each.values) for name, each in requested.items()
         ]
         vectors = [
             VectorData(

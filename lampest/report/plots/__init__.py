@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, of_kind, typed
-from lampest.panel.panel import Array
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, opened, too_long
 from lampest.report.plots.contours import (
@@ -33,7 +32,6 @@ from lampest.report.plots.contours import (
 )
 from lampest.report.plots.maps import (
     MapPainter,
-    Scale,
     Tile,
     change_scale,
     limited,
@@ -184,13 +182,9 @@ def plot_file(path: Path, picture: Path) -> Path:
     recording = opened(path)
     if isinstance(recording, StoredRecording):
         recording = recording.part(recording.blocks[0])
-    strongest = strongest_readings(recording)
-    if strongest is None:
+    if strongest_readings(recording) is None:
         raise InputError(f"{path}: has no unloaded frames to compare with; lampest tare names some")
-    frame, change = strongest
-    tile = Tile(recording.name, change, f"readings of frame {frame} at {recording.time[frame]:g} s")
-    scale = _reading_scale(change, recording)
-    save(maps_figure([tile], recording.scene.panel, scale, width=WIDTH_INCH / 2), picture)
+    save(recording_picture(recording), picture)
     return picture
 
 
@@ -266,11 +260,6 @@ def _shown(
     return figure_of_axes
 
 
-def _reading_scale(change: Array, recording: Recording) -> Scale:
-    """Return the scale of a change of readings in percent; its label has their unit."""
-    return change_scale([change], f"change of the reading in {recording.scene.circuit.unit} [%]")
-
-
 def recording_picture(
     recording: Recording,
     frame: int | None = None,
@@ -290,19 +279,19 @@ def recording_picture(
             f"{recording.name}: there is no frame {frame}; there are 0 to {len(recording.time) - 1}"
         )
     strongest = strongest_readings(recording)
-    number = frame
-    if number is None:
-        number = 0 if strongest is None else strongest[0]
+    number = frame or 0
     values = recording.recorded[number]
-    note = f"readings of frame {number} at {recording.time[number]:g} s"
+    unit = recording.scene.circuit.unit
     if strongest is None:
-        scale = log_scale(
-            [values], f"reading [{recording.scene.circuit.unit}]", (1e-3, 1e12), "viridis_r"
-        )
+        scale = log_scale([values], f"reading [{unit}]", (1e-3, 1e12), "viridis_r")
     else:
-        resting = mean_reading(recording.recorded[recording.role == UNLOADED])
-        values = percent_change(values, resting)
-        scale = _reading_scale(values, recording)
+        if frame is None:
+            number, values = strongest
+        else:
+            resting = mean_reading(recording.recorded[recording.role == UNLOADED])
+            values = percent_change(values, resting)
+        scale = change_scale([values], f"change of the reading in {unit} [%]")
+    note = f"readings of frame {number} at {recording.time[number]:g} s"
     tile = Tile(recording.name, values, note)
     painter = MapPainter(recording.scene.panel, limited(scale, vmin, vmax))
 
