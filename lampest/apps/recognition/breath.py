@@ -22,6 +22,7 @@ from numpy.polynomial.hermite_e import hermegauss
 from scipy.special import expit, logsumexp
 
 from lampest.apps.recognition.hypotheses import (
+    BESIDE,
     BREATH,
     BREATHING_SD,
     EVIDENCE_SHARE,
@@ -29,7 +30,6 @@ from lampest.apps.recognition.hypotheses import (
     RATES_HZ,
     RIM,
     TREMBLE_SD,
-    UNEXPLAINED_ODDS,
     WANDER,
     Cause,
 )
@@ -329,6 +329,9 @@ class _Window(NamedTuple):
     def _suction(self, patterns: Patterns, swings: Array, best: int) -> float:
         """Return the probability that suction oscillates with its rim, against all other causes.
 
+        Cells beside the load may swing in any case, by the size that explains the swing best at the
+        rate of the suction.
+
         Parameters
         ----------
         patterns : Patterns
@@ -338,19 +341,24 @@ class _Window(NamedTuple):
             Number of the rate of the suction.
         """
         same = np.abs(self.hertz - self.hertz[best]) < 1 / (2 * self.lasted)
+        own = swings[same]
         root = self.even.gain.mean() ** 0.5  # swings at unit amplitude
+        by_rate = logsumexp(_explained(root * patterns.own, BREATH.largest, own), axis=0)
+        beside = root * patterns.beside
+        by_size = _explained(beside, BESIDE.largest, own[np.argmax(by_rate)][None])
+        size = _sizes(BESIDE.largest)[np.argmax(by_size)]
+        whitening = Whitening.of(np.eye(len(beside)) + size**2 * beside @ beside.T).matrix
 
         def evidence(cause: Cause) -> float:
-            pattern = root * getattr(patterns, cause.pattern)
-            explained = _explained(pattern, cause.largest, swings[same])
+            pattern = root * whitening @ getattr(patterns, cause.pattern)
+            explained = _explained(pattern, cause.largest, own @ whitening.T)
             return float(logsumexp(explained, axis=0).max()) - log(SIZES)
 
         breathes = evidence(BREATH)
         # 1/w = 1 + Σ_causes (E_cause/E_breath)^½/odds
-        against = [-EVIDENCE_SHARE * breathes - log(UNEXPLAINED_ODDS)]
-        against += [
-            EVIDENCE_SHARE * (evidence(cause) - breathes) - log(cause.odds)
-            for cause in (RIM, MOVES)
+        against = [
+            EVIDENCE_SHARE * (explained - breathes) - log(cause.odds)
+            for cause, explained in ((RIM, evidence(RIM)), (MOVES, evidence(MOVES)), (BESIDE, 0.0))
         ]
         return float(expit(-logsumexp(against)))
 

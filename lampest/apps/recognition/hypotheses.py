@@ -6,7 +6,7 @@ makes it oscillate at one rate, too:
 - *breath*: the suction swings, and with it the rim that bears it;
 - *a pushed rim*: only the rim's pressure swings, as where a body beside the load beats;
 - *a tugged load*: its place or its tilt swings, as on a hose or in a current;
-- *anything else*, such as a beat on cells beside it that is too faint to be seen as a load.
+- *cells beside it*: something beats on them too faintly to be seen as a load of its own.
 
 Water that moves presses on the whole panel. It is no hypothesis: lines without a load show it, and
 it is taken off the readings first (`lampest.apps.recognition.steady_frames`).
@@ -61,10 +61,10 @@ class Cause(NamedTuple):
 # Above 15 % the unevenness of a film would explain the swings of a shaken cup.
 BREATH = Cause("own", 0.15, 1.0)
 # What sucks and breathes always does, while rims and places swing at one rate only where something
-# pushes them. A rim swings by all of its pressure, and a place ten times as far as usual.
+# pushes them. A rim swings by all of its pressure, a place ten times as far as usual, and the
+# resistance of a cell beside by 5 %.
 RIM = Cause("rim", 1.0, 10.0)
 MOVES = Cause("moves", 10.0, 10.0)
-# of breath, against swings that none of these causes explains
-UNEXPLAINED_ODDS = 30.0
+BESIDE = Cause("beside", 0.05, 30.0)
 # of breath, against all other causes together
-PRIOR_ODDS = 1 / (1 / RIM.odds + 1 / MOVES.odds + 1 / UNEXPLAINED_ODDS)
+PRIOR_ODDS = 1 / sum(1 / cause.odds for cause in (RIM, MOVES, BESIDE))

@@ -49,6 +49,8 @@ class Patterns(NamedTuple):
         Place and tilt of the load.
     others : array
         Further changes of any size, which are projected out.
+    beside : array
+        Cells that neither the load nor `others` contain, each by itself; none in `of`.
     curve : float
         Relative standard deviation of the depth by a curve under suction that was not measured.
     """
@@ -57,6 +59,7 @@ class Patterns(NamedTuple):
     rim: Array
     moves: Array
     others: Array
+    beside: Array
     curve: float = 0.0
 
     @classmethod
@@ -98,7 +101,8 @@ class Patterns(NamedTuple):
         moving = np.column_stack(
             [moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))]
         )
-        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, curve)
+        none = np.zeros((len(by_cell), 0))
+        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, none, curve)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
         """Project patterns and changes (frames, readings) on the complement of `others`.
@@ -114,7 +118,7 @@ class Patterns(NamedTuple):
 
     def whitened(self, whitening: Array) -> "Patterns":
         """Return the patterns of readings that a matrix (readings, readings) combines once more."""
-        roots = ("own", "rim", "moves", "others")
+        roots = ("own", "rim", "moves", "others", "beside")
         return self._replace(**{name: whitening @ getattr(self, name) for name in roots})
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
@@ -182,19 +186,18 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
         under = (disc.point.own != 0).ravel()
         beside = changed.ravel() & ~under
         moves = (sways[:, None] * disc.point.slopes[:, under])[sways > 0]
-        patterns.append(
-            Patterns.of(
-                by_cell=by_cell[:, under],
-                rise=rise.ravel()[under],
-                slopes=slopes[:, under],
-                spread=spread[under],
-                moves=moves,
-                others=np.column_stack(
-                    [whitening.sum(axis=1), by_cell[:, beside], by_cell @ by_water.ravel()]
-                ),
-                curve=curve,
-            )
+        pattern = Patterns.of(
+            by_cell=by_cell[:, under],
+            rise=rise.ravel()[under],
+            slopes=slopes[:, under],
+            spread=spread[under],
+            moves=moves,
+            others=np.column_stack(
+                [whitening.sum(axis=1), by_cell[:, beside], by_cell @ by_water.ravel()]
+            ),
+            curve=curve,
         )
+        patterns.append(pattern._replace(beside=by_cell[:, ~(under | beside)]))
     return patterns
 
 

@@ -140,6 +140,31 @@ def test_a_breath_may_be_faster_and_slower_within_seconds(seed: int) -> None:
     assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.8
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_cells_that_swing_beside_a_load_are_not_its_breath_and_hide_none(seed: int) -> None:
+    """They move readings that the load moves, too; a breath moves no others."""
+    rng = np.random.default_rng(seed)
+    rise = np.repeat([-2.0, 1.0], READINGS // 2)
+    slopes = np.where(rise < 0, -300.0, 90.0)
+    moves = 8 * rng.standard_normal((1, READINGS))
+    load, beside = np.eye(2 * READINGS)[:, :READINGS], np.eye(2 * READINGS)[:, READINGS:]
+    mixed = np.linalg.qr(rng.standard_normal((2 * READINGS, 2 * READINGS)))[0]
+    supply = mixed @ np.ones((2 * READINGS, 1))
+    known = Patterns.of(
+        mixed @ load, rise, slopes[None], 0.2 * np.abs(slopes), moves, supply
+    )._replace(beside=600 * mixed @ beside)
+    wave = np.sin(2 * np.pi * 1.1 * TIMES)
+    breathing = mixed @ load @ (0.05 * slopes)
+    swings = 20 * rng.standard_normal(READINGS)
+    beating = mixed @ beside @ (swings - swings.mean())
+    alone, hidden = (
+        breath(SteadyFrames.of(TIMES, changes), changes, known).probability
+        for swing in (beating, breathing + beating)
+        for changes in [np.outer(wave, swing) + rng.standard_normal((len(TIMES), 2 * READINGS))]
+    )
+    assert alone < 0.5 and hidden > 0.95
+
+
 def test_swings_within_a_pull_are_no_outliers() -> None:
     pull = 1.5 * ((TIMES > 2.5) & (TIMES < 5.5))
     swings = pull + 0.05 * np.sin(2 * np.pi * 1.1 * TIMES)
