@@ -35,7 +35,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark all variants of a test but FAST_VARIANTS, spread over them, as slow.
+    """Mark all variants of a test but FAST_VARIANTS as slow, and all but one of a long test.
 
     Leave `soak` out unless requested, and `exact` where readings are disturbed.
     """
@@ -61,18 +61,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def surplus(items: list[pytest.Item], count: int) -> list[pytest.Item]:
-    """Return the variants of every test beyond a count that is spread over them."""
+    """Return the variants of every test beyond a count that is spread over them.
+
+    Of a test with the mark `long` only the first variant that is not slow is chosen.
+    """
     variants: dict[tuple[Path, str], list[pytest.Item]] = {}
     for item in items:
         variants.setdefault((item.path, getattr(item, "originalname", item.name)), []).append(item)
     beyond = []
     for several in variants.values():
         chosen = {round(number * (len(several) - 1) / (count - 1)) for number in range(count)}
-        beyond += [
-            item
-            for number, item in enumerate(several)
-            if len(several) > count and number not in chosen
-        ]
+        if several[0].get_closest_marker("long"):
+            fast = [item.get_closest_marker("slow") is None for item in several]
+            chosen = {fast.index(True)} if any(fast) else set()
+        elif len(several) <= count:
+            continue
+        beyond += [item for number, item in enumerate(several) if number not in chosen]
     return beyond
 
 

@@ -87,6 +87,7 @@ def standing_load(seed: int, **keys: object) -> Recording:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "keys", [{}, {"systematic": STATIC}, {"systematic": STATIC, "motion": "estimated"}]
 )
@@ -200,6 +201,7 @@ def test_still_cells_show_the_share_of_a_scan_and_readings_are_interpolated_to_i
     assert before[4] < 85 and 92 <= after[4] <= 99
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("depth", [0.0, 0.1])
 def test_a_scan_without_time_has_no_share(depth: float) -> None:
     """The same holds where averaged frames of a standing load are quieter."""
@@ -210,6 +212,7 @@ def test_a_scan_without_time_has_no_share(depth: float) -> None:
     assert not [effect for effect in effects.unnamed_effects(unnamed) if "motion" in effect.line]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "kind"), [(0, "rod"), (2, "rock")])
 def test_errors_of_readings_are_not_taken_for_motion(seed: int, kind: str) -> None:
     """A load sways between frames, and each reading is off by a factor of its own."""

@@ -66,6 +66,7 @@ def panel(
     return recording_of(scene, (5 - volt) / volt * 1000, UNLOADED)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(4))
 def test_absent_nuisances_are_neither_named_nor_corrected(seed: int) -> None:
     recording = panel(seed)
@@ -74,6 +75,7 @@ def test_absent_nuisances_are_neither_named_nor_corrected(seed: int) -> None:
     assert np.array_equal(prepared.noise.readings.value, recording.readings().value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_outlier_during_a_load_is_not_taken_for_a_contact(seed: int) -> None:
     """In the only loaded frame one reading is off by 25 ohm.
