@@ -72,6 +72,7 @@ def test_clean_recordings_of_all_circuits_raise_no_alarm(seeds: range) -> None:
     assert not alarms
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("circuit", ["two_mux", "pull_ups", "grounded", "amplifiers"])
 def test_examples_of_init_raise_no_alarm(circuit: str, tmp_path: Path) -> None:
     write_starter(tmp_path, circuit)

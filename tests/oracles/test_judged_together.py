@@ -33,6 +33,7 @@ def test_the_slope_of_a_palm_is_not_taken_for_a_resistance_in_series() -> None:
     assert (SERIES in noise.estimated) != ("press a few cells" in noise.sentence)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("true_ohm", [2, 10])
 def test_the_unloaded_panel_tells_the_spread_of_channels_under_a_palm(true_ohm: int) -> None:
     """The slope of the palm was taken for 75 ohm, whatever was right."""

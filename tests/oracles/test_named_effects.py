@@ -163,6 +163,7 @@ def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
     assert f"    {line}" in estimate.fit_report().partition("[[Estimated]]")[2]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("keys", "advised"),
     [
@@ -240,6 +241,7 @@ def test_a_reference_tolerance_keeps_its_prior() -> None:
     assert estimate.recording.scene.systematic.reference_tolerance == 0.06
 
 
+@pytest.mark.slow  # tests/oracles/test_small_memory.py has fast ones
 def test_the_memory_of_a_converter_is_estimated() -> None:
     recording = standing_load(7)
     volt = recording.scene.circuit.volt_from_recorded(recording.recorded)

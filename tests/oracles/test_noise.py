@@ -114,6 +114,7 @@ def test_components_of_noise_are_estimated_and_absent_ones_are_not() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("samples", [1, 2, 4, 9, 40])
 def test_sizes_of_effects_are_unbiased_and_their_mean_squares_cover_the_next_sample(
     samples: int,

@@ -207,6 +207,7 @@ def equal_loads(word: str, load: str, seed: int, scatter: float = 0.0) -> Record
     return with_starter(replace(plan, cells=alike), word).recording()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [910, 919, 928])
 def test_equal_loads_on_cells_that_are_alike_are_no_saturated_stage(seed: int) -> None:
     words = {910: "parallel_mux", 919: "pull_ups", 928: "pull_downs_on_columns"}
@@ -218,6 +219,7 @@ def test_differences_that_a_load_makes_small_are_no_saturated_stage() -> None:
     assert saturated(equal_loads("feedback", "keys", 7091, scatter=0.05)) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("load", "seed"), [("keys", 7100), ("places", 7105)])
 def test_a_voltage_that_others_exceed_is_no_limit(load: str, seed: int) -> None:
     """Cells of a film without scatter stand at one voltage; those of another group, beyond it."""

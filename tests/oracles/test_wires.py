@@ -122,6 +122,7 @@ def test_specified_wire_gives_the_cells(readout: Readout) -> None:
     assert abs(rms(scores(estimate)) - 1) < RMS_ERROR
 
 
+@pytest.mark.long
 @each_readout
 @pytest.mark.parametrize("formulation", ["auto", TruncatedMethod(steps=8), "linearised"], ids=str)
 def test_other_formulations_model_wire(readout: Readout, formulation: Any) -> None:
