@@ -136,7 +136,6 @@ def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluat
     return Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, data.start())
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("by_products")
 @pytest.mark.parametrize(
     ("seed", "noise", "shape", "iterations", "crowd"),

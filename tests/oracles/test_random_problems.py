@@ -273,7 +273,6 @@ def test_cells_that_heavy_losses_hold_at_one_bound_are_verified(
     np.testing.assert_allclose(solution.cell_resistance, measured.max(), rtol=EQUAL)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("side", "loss"), [(20, Squared()), (11, Absolute())])
 def test_absolute_losses_of_a_large_panel_take_no_more_steps(
     side: int, loss: Squared | Absolute
