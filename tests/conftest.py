@@ -14,6 +14,10 @@ from lampest.files.process import ONE_THREAD
 # Before numpy is imported, libraries get one thread, as the commands give them: the same sums, and
 # faster.
 os.environ.update({name: value for name, value in ONE_THREAD.items() if name not in os.environ})
+# What Python compiles is kept, whatever the environment says: processes of tests start a second or
+# two sooner.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 TESTS = Path(__file__).parent
 sys.path.insert(0, str(TESTS))
 
@@ -35,7 +39,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark all variants of a test but FAST_VARIANTS, spread over them, as slow.
+    """Mark all variants of a test but FAST_VARIANTS as slow, and all but one of a long test.
 
     Leave `soak` out unless requested, and `exact` where readings are disturbed.
     """
@@ -61,18 +65,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def surplus(items: list[pytest.Item], count: int) -> list[pytest.Item]:
-    """Return the variants of every test beyond a count that is spread over them."""
+    """Return the variants of every test beyond a count that is spread over them.
+
+    Of a test with the mark `long` only the first variant that is not slow is chosen.
+    """
     variants: dict[tuple[Path, str], list[pytest.Item]] = {}
     for item in items:
         variants.setdefault((item.path, getattr(item, "originalname", item.name)), []).append(item)
     beyond = []
     for several in variants.values():
         chosen = {round(number * (len(several) - 1) / (count - 1)) for number in range(count)}
-        beyond += [
-            item
-            for number, item in enumerate(several)
-            if len(several) > count and number not in chosen
-        ]
+        if several[0].get_closest_marker("long"):
+            fast = [item.get_closest_marker("slow") is None for item in several]
+            chosen = {fast.index(True)} if any(fast) else set()
+        elif len(several) <= count:
+            continue
+        beyond += [item for number, item in enumerate(several) if number not in chosen]
     return beyond
 
 

@@ -46,12 +46,6 @@ def written(path: Path, dead_row: int | None = None, readout: lampest.Readout = 
     return path
 
 
-def test_info_prints_health_verdict_and_advice(tmp_path: Path, lampest: Command) -> None:
-    output = lampest("info", written(tmp_path / "dead.h5", dead_row=5)).out
-    assert "row is dead: 5" in output and "faults: {dead_rows: [5]}" in output
-    assert "model      doubtful" in output
-
-
 @pytest.mark.slow
 def test_a_clean_recording_has_no_advice(tmp_path: Path, lampest: Command) -> None:
     output = lampest("info", written(tmp_path / "clean.h5")).out
@@ -100,30 +94,29 @@ def test_apply_writes_the_lines_into_the_scene(
 def test_printed_entries_replace_those_of_the_scene(
     readout: lampest.Readout, dead_row: int | None, tmp_path: Path, lampest: Command
 ) -> None:
-    """Pasted over the entries of the same names they make the scene that --apply writes."""
+    """Pasted over the entries of the same names they make the scene that --apply writes.
+
+    Health and verdict stand above them. --apply keeps the file before, and overwrites no other.
+    """
     path = written(tmp_path / "mine.h5", dead_row, readout)
-    _, _, block = lampest("info", path).out.partition(f"{PASTE}\n")
-    entries = YAML(typ="safe").load(block)
+    original = path.read_bytes()
+    earlier = tmp_path / "mine.before.h5"
+    earlier.write_bytes(b"kept by an earlier call")
+    output = lampest("info", path).out
+    if dead_row is not None:
+        assert "row is dead: 5" in output and "faults: {dead_rows: [5]}" in output
+        assert "model      doubtful" in output
+    entries = YAML(typ="safe").load(output.partition(f"{PASTE}\n")[2])
     with h5py.File(path) as file:
         before = YAML(typ="safe").load(file["/entry/scene"][()].decode())
     pasted = tmp_path / "scene.yaml"
     YAML(typ="safe").dump(before | entries, pasted)
-    lampest("info", path, "--apply")
-    applied = Recording.load(path).scene
-    assert entries and read_scene(pasted) == replace(applied, assumed=read_scene(pasted).assumed)
-
-
-def test_apply_keeps_the_file_before_and_overwrites_no_other(
-    tmp_path: Path, lampest: Command
-) -> None:
-    path = written(tmp_path / "mine.h5", dead_row=5)
-    original = path.read_bytes()
-    earlier = tmp_path / "mine.before.h5"
-    earlier.write_bytes(b"kept by an earlier call")
     applied = lampest("info", path, "--apply")
     assert applied.code == 0 and f"the file before: {tmp_path / 'mine.before2.h5'}" in applied.out
     assert earlier.read_bytes() == b"kept by an earlier call"
     assert (tmp_path / "mine.before2.h5").read_bytes() == original
+    scene = Recording.load(path).scene
+    assert entries and read_scene(pasted) == replace(scene, assumed=read_scene(pasted).assumed)
 
 
 @pytest.mark.slow

@@ -18,7 +18,6 @@ import shutil
 import subprocess
 import sys
 import textwrap
-import tokenize
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -376,16 +375,22 @@ FOREIGN_NAMES = {
 }
 
 
+TEXTS = re.compile(
+    r'''r?"""(?:[^\\]|\\.)*?"""|#[^\n]*|("(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')''', re.DOTALL
+)
+
+
 def texts_and_code(path: Path) -> tuple[str, str]:
     """The docstrings and comments of a module, and everything else in it."""
-    texts = []
-    code = []
-    with path.open(encoding="utf-8") as file:
-        for token in tokenize.generate_tokens(file.readline):
-            is_docstring = token.type == tokenize.STRING and token.string.lstrip("r")[:3] == '"' * 3
-            is_text = is_docstring or token.type == tokenize.COMMENT
-            (texts if is_text else code).append(token.string)
-    return "\n".join(texts), "\n".join(code)
+    texts: list[str] = []
+
+    def removed(match: re.Match[str]) -> str:
+        if not match[1]:
+            texts.append(match[0])
+        return match[1] or ""
+
+    code = TEXTS.sub(removed, path.read_text(encoding="utf-8"))
+    return "\n".join(texts), code
 
 
 def test_names_in_back_ticks_exist() -> None:

@@ -86,68 +86,76 @@ def fits(*scene: Any, **keys: Any) -> Scene | None:
 
 
 def scenes() -> Iterator[Any]:
-    """Every configuration of every kind that fits a panel, on a wide and on a tall one."""
+    """Every configuration of every kind that fits a panel, on a wide and on a tall one.
+
+    The first configuration of a kind has both panels at every commit. The others have one, in turn
+    a wide and a tall one; the other panel is slow, as are most circuits that are read at far ends.
+    """
     for kind in KINDS:
-        for number, readout in enumerate(examples(kind)):
-            for rows, columns in PANELS:
-                scene = fits(Panel(rows, columns), readout)
+        named = {
+            str(number): [fits(Panel(*shape), readout) for shape in PANELS]
+            for number, readout in enumerate(examples(kind))
+        }
+        of_panels = [{**wired_scenes(kind, *shape), **far_scenes(kind, *shape)} for shape in PANELS]
+        named |= {name: [made[name] for made in of_panels] for name in of_panels[0]}
+        for turn, (name, both) in enumerate(named.items()):
+            for shape, scene in zip(PANELS, both, strict=True):
+                rare = turn > 0 and None not in both and shape != PANELS[turn % 2]
+                rare |= name.startswith("far") and "wire" not in name
+                label = f"{kind.__name__}-{name}-{shape[0]}x{shape[1]}"
                 if scene is not None:
-                    yield pytest.param(scene, id=f"{kind.__name__}-{number}-{rows}x{columns}")
-        for name, scene in wired_scenes(kind):
-            rare = name.startswith("far") and "wire" not in name
-            marks = [pytest.mark.slow] if rare else []
-            yield pytest.param(scene, id=f"{kind.__name__}-{name}", marks=marks)
+                    yield pytest.param(scene, id=label, marks=[pytest.mark.slow] * rare)
 
 
-def wired_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
-    """Yield scenes of the first fitting configuration of a kind.
+def wired_scenes(kind: type, rows: int, columns: int) -> dict[str, Scene]:
+    """Return scenes of the first fitting configuration of a kind.
 
     The scenes have every sort of wire, lines that touch, and contacts.
     """
-    for rows, columns in PANELS:
-        panel = Panel(rows, columns)
-        readout = next(example for example in examples(kind) if fits(panel, example) is not None)
-        contacts = Contacts.of(
-            np.linspace(10, 200, rows + columns), np.full(rows + columns, 20.0), rows
-        )
-        for name, (lines, faults) in WIRES.items():
-            yield f"{name}-{rows}x{columns}", Scene(panel, readout, faults=faults, lines=lines)
-        yield f"contacts-{rows}x{columns}", Scene(panel, readout, contacts=contacts)
-        yield f"leaks-{rows}x{columns}", Scene(panel, readout, leak_ohm=LEAKS)
-        yield (
-            f"leaks and wire-{rows}x{columns}",
-            Scene(panel, readout, leak_ohm=LEAKS, lines=WIRES["wire"][0]),
-        )
-        yield (
-            f"contacts and wire-{rows}x{columns}",
-            Scene(panel, readout, lines=WIRES["wire"][0], contacts=contacts),
-        )
-    yield from far_scenes(kind)
+    panel = Panel(rows, columns)
+    readout = next(example for example in examples(kind) if fits(panel, example) is not None)
+    contacts = contacts_of(rows, columns)
+    wire = WIRES["wire"][0]
+    return {
+        **{
+            name: Scene(panel, readout, faults=faults, lines=lines)
+            for name, (lines, faults) in WIRES.items()
+        },
+        "contacts": Scene(panel, readout, contacts=contacts),
+        "leaks": Scene(panel, readout, leak_ohm=LEAKS),
+        "leaks and wire": Scene(panel, readout, leak_ohm=LEAKS, lines=wire),
+        "contacts and wire": Scene(panel, readout, lines=wire, contacts=contacts),
+    }
 
 
-def far_scenes(kind: type) -> Iterator[tuple[str, Scene]]:
-    """Yield scenes whose sensed lines are read at their far ends, in every state of idle lines."""
+def contacts_of(rows: int, columns: int) -> Contacts:
+    lines = rows + columns
+    return Contacts.of(np.linspace(10, 200, lines), np.full(lines, 20.0), rows)
+
+
+def far_scenes(kind: type, rows: int, columns: int) -> dict[str, Scene | None]:
+    """Return scenes whose sensed lines are read at their far ends, in every state of idle lines."""
     if not hasattr(kind, "read_at"):
-        return
-    for number, keys in enumerate(FAR_KEYS[kind]):
-        for rows, columns in PANELS:
-            contacts = Contacts.of(
-                np.linspace(10, 200, rows + columns), np.full(rows + columns, 20.0), rows
-            )
-            readout = kind(read_at="far_end", driven="columns" if number % 2 else "rows", **keys)
-            wires: dict[str, Any] = {
-                "wire": {"lines": Lines(30.0, 70.0)},
-                "turned": {"lines": Lines(30.0, 70.0, "right", "top"), "leak_ohm": LEAKS},
-                "sides": {"lines": Lines(0.0, 70.0), "contacts": contacts},
-                "joined": {"lines": Lines(30.0, 0.1), "faults": WIRES["wire and joined"][1]},
-            }
-            for name, wire in wires.items():
-                scene = fits(Panel(rows, columns), readout, **wire)
-                if scene is not None:
-                    yield f"far-{number}-{name}-{rows}x{columns}", scene
+        return {}
+    wires: dict[str, dict[str, Any]] = {
+        "wire": {"lines": Lines(30.0, 70.0)},
+        "turned": {"lines": Lines(30.0, 70.0, "right", "top"), "leak_ohm": LEAKS},
+        "sides": {"lines": Lines(0.0, 70.0), "contacts": contacts_of(rows, columns)},
+        "joined": {"lines": Lines(30.0, 0.1), "faults": WIRES["wire and joined"][1]},
+    }
+    return {
+        f"far-{number}-{name}": fits(
+            Panel(rows, columns),
+            kind(read_at="far_end", driven="columns" if number % 2 else "rows", **keys),
+            **wire,
+        )
+        for number, keys in enumerate(FAR_KEYS[kind])
+        for name, wire in wires.items()
+    }
 
 
-every_scene = pytest.mark.parametrize("scene", tuple(scenes()))
+SCENES = tuple(scenes())
+every_scene = pytest.mark.parametrize("scene", SCENES)
 
 
 def cells_of(scene: Scene) -> Array:
@@ -278,9 +286,7 @@ def test_the_sensitivity_of_some_readings_is_that_part_of_the_whole(scene: Scene
         assert_allclose(solved.sensitivity(some), solved.sensitivity()[some.ravel()], rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "scene", [made for made in scenes() if made.values[0].contacts is not None]
-)
+@pytest.mark.parametrize("scene", [made for made in SCENES if made.values[0].contacts is not None])
 def test_the_response_to_contacts_is_the_derivative(scene: Scene) -> None:
     """∂y/∂c by central differences of a tenth of an ohm, of every line alone."""
     readout = scene.circuit
@@ -307,7 +313,7 @@ def is_one_network(scene: Scene) -> bool:
     return len(ties) == 1 and not np.isinf(ties).any()
 
 
-@pytest.mark.parametrize("scene", [made for made in scenes() if is_one_network(made.values[0])])
+@pytest.mark.parametrize("scene", [made for made in SCENES if is_one_network(made.values[0])])
 def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) -> None:
     """The symbolic form of the reading, at the impedances of a netlist that is solved here."""
     readout = scene.circuit

@@ -200,8 +200,14 @@ def test_the_gradient_is_the_derivative_of_the_cost(terms: tuple[Term, ...], fra
     assert not corners.size or np.min(corners) > CORNER_DISTANCE * np.max(corners)
 
 
-@pytest.mark.parametrize("frames", [1, 2])
-@pytest.mark.parametrize("formulation", EXCITATIONS)
+@pytest.mark.parametrize(
+    ("formulation", "frames"),
+    [
+        pytest.param(formulation, frames, marks=[pytest.mark.slow] * (frames != number % 2 + 1))
+        for number, formulation in enumerate(EXCITATIONS)
+        for frames in (1, 2)
+    ],
+)
 @every_cost
 def test_the_hessian_is_the_derivative_of_the_gradient(
     terms: tuple[Term, ...], formulation: str, frames: int

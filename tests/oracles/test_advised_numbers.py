@@ -124,6 +124,7 @@ def test_advice_has_the_number_of_the_estimate(key: str) -> None:
     assert key in checked(RECORDINGS[key]())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("key", "row"),
     [

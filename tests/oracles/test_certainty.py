@@ -91,6 +91,7 @@ def sensitivity(cells: Array) -> Array:
     return np.array(columns).T
 
 
+@pytest.mark.long
 @promise("theory/posterior: The covariance is the Gauss–Newton Laplace approximation")
 @pytest.mark.parametrize("weight", [0.0, 1e-9])
 def test_the_covariance_is_that_of_laplace(weight: float) -> None:
@@ -112,6 +113,7 @@ def test_the_covariance_is_that_of_laplace(weight: float) -> None:
     assert_allclose(errors.data_share, kernel.sum(axis=1), atol=DIFFERENCE_ERROR)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("term", [LogRatio(), TotalVariationOfChange()], ids=lambda term: term.kind)
 def test_absolute_losses_leave_a_degree_of_freedom_for_each_plateau(term: Term) -> None:
     """The resolution sums to the number of changed cells, or of areas of equal change.

@@ -157,6 +157,7 @@ def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: 
     assert np.abs(solution.cell_resistance[0] / cells - 1).max() < MAX_CELL_ERROR
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", [(16, 10), 16], ids=["cell", "row"])
 def test_a_large_panel_without_noise_is_verified_by_every_reading(place: object) -> None:
     """Readings of shorts count, although they are small against the others.
@@ -175,6 +176,7 @@ def test_a_large_panel_without_noise_is_verified_by_every_reading(place: object)
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
 @pytest.mark.parametrize("ohm", [1.0, 3e-3, 3e-4, 1e-6])
 @pytest.mark.parametrize("short", SHORTS)

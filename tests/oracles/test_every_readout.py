@@ -301,6 +301,7 @@ def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: in
     assert read > MIN_STATES, "most of the 128 states give readings"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
 def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> None:
     """Two-point readings of two and three groups agree with netlists.
@@ -511,6 +512,7 @@ def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> A
     return np.array([volt["load", column] for column in range(cells.shape[1])])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("polarity", ["up", "down"])
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("diode", [Diode(), LED], ids=["silicon", "led"])

@@ -149,6 +149,7 @@ def recording_of(scene: Scene) -> Recording:
     return replace(recording, truth_cell_resistance=cells)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("readout", READOUTS)
 def test_both_solvers_find_the_same_optimum(readout: str) -> None:
     """One reading depends on each cell, and the cells are those of the simulation."""

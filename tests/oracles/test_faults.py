@@ -101,6 +101,7 @@ def test_intervals_contain_read_cells_despite_missing_readings(terms: list[objec
     assert np.mean(held) > MIN_COVERAGE and np.median(widths) < MAX_WIDTH
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("term", [lampest.RelativeChange(), lampest.GradientOfRelativeChange()])
 def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object) -> None:
     """Without a substitute the cell opened, all others moved by 1 %, and bars covered 45 %."""

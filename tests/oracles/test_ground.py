@@ -103,7 +103,6 @@ def test_a_named_ground_is_taken_off_and_the_circuit_explains_its_readings(
     plain, named = (
         recorded(circuit, 3, GROUND_OHM, **keys) for keys in ({}, {"ground_ohm": stated})
     )
-    assert plain.check.mark == "no" and plain.check.addition == {"ground_ohm": "estimated"}
     assert named.check.mark == "yes"
     truth = np.log(panels(3)[1])
     wrong, right = (
@@ -136,9 +135,11 @@ def test_a_simulated_ground_is_that_of_the_netlist() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ohm", [2.0, 3.0])
-def test_a_weak_ground_is_named_where_another_circuit_is_about_as_likely(ohm: float) -> None:
-    check = recorded(CIRCUITS["loads stay"], 1, ohm).check
+@pytest.mark.parametrize(("ohm", "seed"), [(2.0, 1), (3.0, 1), (GROUND_OHM, 3)])
+def test_a_ground_is_named_even_where_another_circuit_is_about_as_likely(
+    ohm: float, seed: int
+) -> None:
+    check = recorded(CIRCUITS["loads stay"], seed, ohm).check
     assert check.mark == "no" and check.addition == {"ground_ohm": "estimated"}
 
 

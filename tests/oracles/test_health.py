@@ -72,6 +72,7 @@ def test_clean_recordings_of_all_circuits_raise_no_alarm(seeds: range) -> None:
     assert not alarms
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("circuit", ["two_mux", "pull_ups", "grounded", "amplifiers"])
 def test_examples_of_init_raise_no_alarm(circuit: str, tmp_path: Path) -> None:
     write_starter(tmp_path, circuit)
@@ -79,6 +80,7 @@ def test_examples_of_init_raise_no_alarm(circuit: str, tmp_path: Path) -> None:
     assert table == tuple((room, WELL[room]) for room in ROOMS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("circuit", CIRCUITS)
 def test_the_circuit_of_each_starter_explains_its_readings(circuit: str, tmp_path: Path) -> None:
     write_starter(tmp_path, circuit)
@@ -143,7 +145,7 @@ def test_faults_of_lines_and_cells_are_reported_with_their_line(
 def test_unloaded_frames_that_have_a_load_are_named() -> None:
     """They were noise: the scatter was 136 times as specified, and a gain was advised."""
     named = []
-    for seed in range(24):
+    for seed in range(12):
         recording = drawn(seed, of_load("sway")).recording()
         first = int(np.sum(recording.role == UNLOADED))
         readout = recording.scene.readout
@@ -193,6 +195,7 @@ def test_what_moves_all_readings_of_unloaded_frames_is_no_load(kind: str) -> Non
         assert not len(loaded_frames(recording.scene, moved, recording.role == UNLOADED))
 
 
+@pytest.mark.long
 @promise("theory/model_check: Lines that repeat each other are named.")
 @pytest.mark.parametrize("pairs", [1, 2, 3, 4])
 def test_lines_that_repeat_each_other_are_named(pairs: int) -> None:

@@ -62,6 +62,7 @@ def held(**keys: Any) -> DrivenReadout:
     return DrivenReadout(idle_ohm=0.0, adc_bits=12, readings=4, noise_lsb=0.7, **keys)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("formulation", ["auto", "nodal"])
 @pytest.mark.parametrize(("keys", "typical"), [(BEYOND, 2500.0), (BEFORE, 6600.0)])
 def test_the_panel_is_the_one_in_which_most_cells_stand_still(
@@ -152,6 +153,7 @@ def test_random_circuits_have_clear_and_right_panels_or_a_doubt() -> None:
     assert clear >= 6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [94013, 94112])
 def test_idle_sensed_lines_fold_the_readings_too(seed: int) -> None:
     """They pull the driven line to ground; near the fold the right cells are noisy."""

@@ -33,6 +33,7 @@ def test_the_slope_of_a_palm_is_not_taken_for_a_resistance_in_series() -> None:
     assert (SERIES in noise.estimated) != ("press a few cells" in noise.sentence)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("true_ohm", [2, 10])
 def test_the_unloaded_panel_tells_the_spread_of_channels_under_a_palm(true_ohm: int) -> None:
     """The slope of the palm was taken for 75 ohm, whatever was right."""
@@ -63,6 +64,7 @@ def test_a_large_memory_of_the_converter_is_advised(place: str) -> None:
     assert "converter_memory" in {line.partition(":")[0] for line in lines_of(remembering)}
 
 
+@pytest.mark.long
 @promise("howto/error_bars: With `motion`, bars also hold loads that jitter within a scan.")
 @pytest.mark.parametrize("motion", ["estimated", 1.0])
 def test_bars_hold_a_load_that_jitters_within_a_scan(motion: str | float) -> None:
@@ -94,6 +96,7 @@ def test_the_tail_of_feet_that_stand_is_not_advised_as_motion(word: str, seed: i
     assert not unnamed_effects(Prepared(feet))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "advised"), [(500, True), (101, False)])
 def test_jitter_that_moves_most_cells_is_estimated_and_not_advised(
     seed: int, advised: bool

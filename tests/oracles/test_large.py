@@ -60,6 +60,7 @@ ESTIMATORS: dict[str, tuple[Term, ...]] = {
 
 # Absolute penalties have several minima where the noise is strong, and either way may end in
 # another.
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "noise"),
     [

@@ -64,6 +64,7 @@ def share_in_bars(readout: str, lines: int, named: str) -> float:
     return float(np.mean(within))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("circuit", CIRCUITS)
 def test_bars_hold_resistors_that_differ_where_the_scene_says_so(circuit: str) -> None:
     readout, lines = CIRCUITS[circuit]

@@ -277,6 +277,7 @@ def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("deviations", [0.5, 1.0, 2.0, 3.0, 10.0])
 def test_a_fit_is_within_noise_where_its_tail_is(deviations: float) -> None:
     """Few or many degrees of freedom may decide before their number is computed."""

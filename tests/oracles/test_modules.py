@@ -298,6 +298,7 @@ def test_a_coupled_module_without_readings_stays_unknown() -> None:
     assert unknown[cells].all() and unknown.sum() == unknown[cells].size
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("term", "lines", "formulation", "together"),
     [
@@ -338,6 +339,7 @@ def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:
         coupled(replace(recording, scene=wired), lampest.Gradient(weight=1e-6))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "terms", [(Misfit(),), (Misfit(weighting="noise"), LogGradient(weight=0.1))]
 )

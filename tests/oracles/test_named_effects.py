@@ -87,6 +87,7 @@ def standing_load(seed: int, **keys: object) -> Recording:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "keys", [{}, {"systematic": STATIC}, {"systematic": STATIC, "motion": "estimated"}]
 )
@@ -162,6 +163,7 @@ def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
     assert f"    {line}" in estimate.fit_report().partition("[[Estimated]]")[2]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("keys", "advised"),
     [
@@ -200,6 +202,7 @@ def test_still_cells_show_the_share_of_a_scan_and_readings_are_interpolated_to_i
     assert before[4] < 85 and 92 <= after[4] <= 99
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("depth", [0.0, 0.1])
 def test_a_scan_without_time_has_no_share(depth: float) -> None:
     """The same holds where averaged frames of a standing load are quieter."""
@@ -210,6 +213,7 @@ def test_a_scan_without_time_has_no_share(depth: float) -> None:
     assert not [effect for effect in effects.unnamed_effects(unnamed) if "motion" in effect.line]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "kind"), [(0, "rod"), (2, "rock")])
 def test_errors_of_readings_are_not_taken_for_motion(seed: int, kind: str) -> None:
     """A load sways between frames, and each reading is off by a factor of its own."""
@@ -237,6 +241,7 @@ def test_a_reference_tolerance_keeps_its_prior() -> None:
     assert estimate.recording.scene.systematic.reference_tolerance == 0.06
 
 
+@pytest.mark.slow  # tests/oracles/test_small_memory.py has fast ones
 def test_the_memory_of_a_converter_is_estimated() -> None:
     recording = standing_load(7)
     volt = recording.scene.circuit.volt_from_recorded(recording.recorded)

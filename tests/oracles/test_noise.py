@@ -114,6 +114,7 @@ def test_components_of_noise_are_estimated_and_absent_ones_are_not() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("samples", [1, 2, 4, 9, 40])
 def test_sizes_of_effects_are_unbiased_and_their_mean_squares_cover_the_next_sample(
     samples: int,
@@ -148,6 +149,7 @@ def test_loads_and_wrong_noise_cause_no_outliers() -> None:
         assert not Prepared(recording).cleaned.outliers.any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
 def test_a_frozen_reading_is_named_and_treated_as_missing(factor: float) -> None:
     """Under the load a frozen value would move the cells of its lines by a tenth and more."""
@@ -288,6 +290,7 @@ def test_unspecified_noise_is_estimated_from_the_frames(setting: str | None) -> 
     assert (noise_of_few.sigma_factor == 1) == (setting is None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unloaded", [5, 0])
 @pytest.mark.parametrize(
     ("true", "specified"), [(0.7, 8.4), (8.4, 0.7)], ids=["too large", "too small"]
@@ -316,6 +319,7 @@ def test_noise_specified_wrong_by_a_factor_of_twelve_is_measured(
     assert unloaded or not any("unloaded frames scatter" in line for line in estimate.checks)
 
 
+@pytest.mark.long
 @promise("README: Error bars cover the effects that the scene names")
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int) -> None:

@@ -66,6 +66,7 @@ def panel(
     return recording_of(scene, (5 - volt) / volt * 1000, UNLOADED)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(4))
 def test_absent_nuisances_are_neither_named_nor_corrected(seed: int) -> None:
     recording = panel(seed)
@@ -74,6 +75,7 @@ def test_absent_nuisances_are_neither_named_nor_corrected(seed: int) -> None:
     assert np.array_equal(prepared.noise.readings.value, recording.readings().value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_outlier_during_a_load_is_not_taken_for_a_contact(seed: int) -> None:
     """In the only loaded frame one reading is off by 25 ohm.
@@ -205,6 +207,7 @@ def equal_loads(word: str, load: str, seed: int, scatter: float = 0.0) -> Record
     return with_starter(replace(plan, cells=alike), word).recording()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [910, 919, 928])
 def test_equal_loads_on_cells_that_are_alike_are_no_saturated_stage(seed: int) -> None:
     words = {910: "parallel_mux", 919: "pull_ups", 928: "pull_downs_on_columns"}
@@ -216,6 +219,7 @@ def test_differences_that_a_load_makes_small_are_no_saturated_stage() -> None:
     assert saturated(equal_loads("feedback", "keys", 7091, scatter=0.05)) is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("load", "seed"), [("keys", 7100), ("places", 7105)])
 def test_a_voltage_that_others_exceed_is_no_limit(load: str, seed: int) -> None:
     """Cells of a film without scatter stand at one voltage; those of another group, beyond it."""

@@ -55,6 +55,7 @@ def share_in_bars(circuit: lampest.Readout, size: float | str | None) -> float:
     return float(np.mean(within))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CIRCUITS)
 def test_bars_hold_offsets_where_the_scene_says_so(name: str) -> None:
     assert share_in_bars(CIRCUITS[name], SPREAD_VOLT) > MIN_WITHIN

@@ -74,6 +74,7 @@ def test_an_outlier_spoils_squares_but_not_absolute_values() -> None:
     assert errors["huber"] < 3 * SPOILT / 10, "beyond its corner of 5 the outlier still pulls"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_a_loss_with_a_corner_starts_at_the_optimum_of_squares(seed: int) -> None:
     readings = recording(truth((7, 8), 4, seed), noise=0.01, seed=seed)

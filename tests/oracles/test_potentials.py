@@ -265,6 +265,7 @@ def test_every_formulation_finds_the_cells(name: str, formulation: str) -> None:
     assert_allclose(estimate.cell_resistance[0], loaded, rtol=2e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("readout", "shape", "pressed", "factor"),
     [

@@ -136,6 +136,7 @@ def test_a_solver_that_returns_its_start_is_not_verified(
     assert not any(step.solution.solved for step in estimate.steps)
 
 
+@pytest.mark.long
 @promise("README: has a faster way to the same optimum")
 @pytest.mark.parametrize("wires", WIRES)
 @pytest.mark.parametrize("readout", READOUTS)

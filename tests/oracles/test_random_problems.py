@@ -250,6 +250,7 @@ def test_absolute_losses_end_within_a_hundred_millionth_of_the_least_cost(
     assert misfit[1] < min(misfit[0], misfit[2])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("weight", [3e3, 1e4, 3e4, 1e5, 1e6])
 @pytest.mark.parametrize("shape", [(24, 1), (1, 9), (4, 1)])
 def test_cells_that_heavy_losses_hold_at_one_bound_are_verified(

@@ -165,6 +165,7 @@ def garbled_frames(plan: Plan, count: int) -> tuple[Recording, list[int]]:
     return recorded(plan.scene, codes, plan.unloaded), frames.tolist()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [1, 3, 5])
 def test_garbled_frames_do_not_hide_each_other(count: int) -> None:
     """Of two such frames 5 in 40 recordings were found, of five none in 100."""

@@ -171,6 +171,7 @@ def frames_under_load(static: float, seed: int, unloaded: int = 0) -> Recording:
     return recording_of(scene, readings, unloaded, sigma=sigma, truth_cell_resistance=cells)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_model_error_is_in_the_error_bars_and_in_one_sentence(seed: int) -> None:
     recording = frames_under_load(STATIC, seed)
@@ -260,6 +261,7 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("per", ["recording", "frame"])
 @pytest.mark.parametrize("penalties", PENALTIES.values(), ids=PENALTIES)
 def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(

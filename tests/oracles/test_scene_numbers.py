@@ -142,6 +142,7 @@ def errors_of_series(
     return recording, specified
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("readout", "series", "key"),
     [

@@ -60,6 +60,7 @@ def pressed_mat(memory: float) -> Recording:
     return recording_of(COLUMNS, cells, memory, generator)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("memory", [0.02, 0.04, 0.08])
 def test_evidence_shows_a_small_memory(memory: float) -> None:
     recording = pressed_mat(memory)
@@ -112,6 +113,7 @@ def test_the_edge_of_a_load_is_not_taken_for_memory() -> None:
     assert gain_of(recording_of(readout, cells, 0.0, generator)) < MIN_EVIDENCE_GAIN
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 3, 7])
 def test_a_share_is_not_too_large_where_readings_gain_nothing_by_it(seed: int) -> None:
     """Weak presses say little of a memory, and a larger one spreads all readings."""
@@ -124,6 +126,7 @@ def test_a_share_is_not_too_large_where_readings_gain_nothing_by_it(seed: int) -
     assert not isinstance(estimate, str) and abs(estimate[0] - 0.05) < 2 * MAX_ERROR
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("readout", [COLUMNS, TwoPointReadout(reference_ohm=1000, **CONVERTER)])
 def test_a_rough_palm_determines_no_memory(readout: Readout) -> None:
     """Where most cells changed, each by itself, their changes explain any share."""

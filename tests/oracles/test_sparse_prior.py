@@ -58,6 +58,7 @@ def ratio_of_bars(load: str, seed: int, penalty: lampest.Term) -> float:
     return float(np.median(estimate.sigma_own) / MAD_TO_SIGMA / np.median(np.abs(own)))
 
 
+@pytest.mark.long
 @promise(
     "theory/posterior: For a chosen λ the bars therefore take a scale mixture of normal "
     "distributions"

@@ -122,6 +122,7 @@ def test_specified_wire_gives_the_cells(readout: Readout) -> None:
     assert abs(rms(scores(estimate)) - 1) < RMS_ERROR
 
 
+@pytest.mark.long
 @each_readout
 @pytest.mark.parametrize("formulation", ["auto", TruncatedMethod(steps=8), "linearised"], ids=str)
 def test_other_formulations_model_wire(readout: Readout, formulation: Any) -> None:
@@ -208,6 +209,7 @@ def test_a_reading_bounds_the_cell_with_its_wire() -> None:
     assert np.any(bounds.limits(readout, reading, None)[0] > cells)
 
 
+@pytest.mark.long
 @each_readout
 @pytest.mark.parametrize("lines", [None, Lines(1.0, 0.5)], ids=["bare", "wire"])
 def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines | None) -> None:
@@ -244,6 +246,7 @@ def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"]
 )

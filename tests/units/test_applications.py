@@ -72,6 +72,7 @@ def test_an_installed_application_adds_commands_and_lines(tmp_path: Path) -> Non
     assert (code, message) == (0, "") and "\nmusic      " in out and " bars\n" in out
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("point", "objection"),
     [

@@ -363,6 +363,7 @@ def test_a_frame_needs_half_of_its_readings_and_so_many_values_as_factors_of_lin
     assert bool(Readings.of(scene, recorded).enough(scene)) == enough
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
 @pytest.mark.parametrize(
     "readout",

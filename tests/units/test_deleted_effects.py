@@ -97,7 +97,7 @@ def texts(name: str) -> list[object]:
 def test_an_effect_is_gone_with_its_file(name: str, tmp_path: Path) -> None:
     house = tmp_path / "lampest"
     source = Path(lampest.__file__).parent
-    shutil.copytree(source, house, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(source, house)  # with what is compiled
     (house / FOLDER / f"{name}.py").unlink()
     (house / "inference" / "effects" / f"{name}.py").unlink(missing_ok=True)
     (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")

@@ -51,9 +51,7 @@ assert Audit(Prepared(recording)).verdict.mark == "yes"
 def test_a_preset_is_gone_with_its_file(kind: str, tmp_path: Path) -> None:
     assert WORDS[kind], "no word of init has the kind"
     house = tmp_path / "lampest"
-    shutil.copytree(
-        Path(lampest.__file__).parent, house, ignore=shutil.ignore_patterns("__pycache__")
-    )
+    shutil.copytree(Path(lampest.__file__).parent, house)  # with what is compiled
     (house / "panel" / "readouts" / f"{kind}.py").unlink()
     (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
     others = " ".join(word for word in circuits() if word not in WORDS[kind])

@@ -51,6 +51,7 @@ def test_numbers_of_a_horizontal_bar_do_not_collide(shape: tuple[int, int]) -> N
     assert all(first.x1 < second.x0 for first, second in pairwise(boxes))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [3, 11])
 @pytest.mark.parametrize("shape", [(24, 4), (30, 3), (16, 6)])
 def test_titles_and_numbers_of_narrow_panels_do_not_collide(

@@ -59,6 +59,7 @@ def recording() -> lampest.Recording:
     return lampest.simulate(lampest.Simulation(1, 1, scene, frames=4, loads=(rod,)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("formulation", ["nodal", "reduced"])
 def test_a_readout_of_a_notebook_estimates_and_is_drawn(
     recording: lampest.Recording, formulation: Literal["nodal", "reduced"]

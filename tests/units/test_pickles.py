@@ -23,6 +23,7 @@ from lampest import (
     Scene,
     TwoPointReadout,
 )
+from lampest.inference.prepared import Prepared
 
 WAYS = {
     "pickle": lambda result: pickle.loads(pickle.dumps(result)),
@@ -98,7 +99,10 @@ def test_objects_of_public_classes_are_pickled_and_their_arrays_are_read_only(na
         assert not writable
 
 
-def test_arrays_of_a_reconstruction_are_walked() -> None:
+def test_arrays_of_a_reconstruction_are_walked(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Other circuits take seconds, and have texts.
+    monkeypatch.setattr(lampest.Reconstruction, "advice", ())
+    monkeypatch.setattr(Prepared, "check", None)
     estimate = lampest.reconstruct(small_recording(), TERMS, formulation="reduced")
     labels = [label for label, _ in held_arrays(estimate, "estimate", {})]
     for held in ("estimate.relative_change_errors", ".scene.blind", ".panel.places_mm"):

@@ -174,6 +174,7 @@ def test_live_readings_equal_those_of_the_file(tmp_path: Path, wiring: str) -> N
     assert np.median(np.abs(ratio / (truth[1:] / truth[0]) - 1)) < CODE_ERROR
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("wiring", WIRINGS)
 def test_a_recording_without_a_scene_takes_that_of_the_board(tmp_path: Path, wiring: str) -> None:
     with bench(tmp_path, random_cells(np.random.default_rng(2), 1), wiring=wiring) as board:
@@ -203,6 +204,7 @@ def node_voltages(cells: Array, drive_ohm: Array, load_ohm: Array) -> Array:
     return volts
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("wiring", "rows", "columns", "readings"),
     [

@@ -52,6 +52,7 @@ def flip(path: Path, place: str, row: int) -> None:
     path.write_bytes(damaged)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 def test_check_names_a_damaged_frame_and_repair_drops_it(
     killed: Path, place: str, lampest: Callable[..., Any]
@@ -103,6 +104,7 @@ def test_recordings_of_boards_without_estimates_lack_that_dataset(killed: Path) 
         assert "board" not in file["entry"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("damaged", [None, 5])
 def test_a_journal_without_a_salt_is_readable(killed: Path, damaged: int | None) -> None:
     """Older versions computed checksums of a row's columns without a salt and the row's number."""

@@ -65,6 +65,7 @@ def recorded(
     return summary, Recording.load(path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.__name__)
 def test_a_terminal_that_prints_is_a_board(form: Form, tmp_path: Path) -> None:
     with on_terminal(printed(form, CODES)) as url:
@@ -76,6 +77,7 @@ def test_a_terminal_that_prints_is_a_board(form: Form, tmp_path: Path) -> None:
     assert "unit code" in summary.understood and np.all(np.diff(recording.time) > 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["socket", "datagrams", "file", "pipe"])
 def test_every_kind_of_port_gives_the_same_codes(kind: str, tmp_path: Path) -> None:
     parts = printed(frame_with_millis, CODES)
@@ -201,6 +203,7 @@ def test_bytes_that_come_too_fast_are_counted(
     np.testing.assert_array_equal(codes_of(recording), whole)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["letters", "lists"])
 def test_panels_in_one_line_are_modules_of_one_image(tmp_path: Path, form: str) -> None:
     """As etextile's grids print: 'x' between numbers, 'z' between panels; or lists with names."""

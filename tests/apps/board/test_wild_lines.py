@@ -333,6 +333,7 @@ def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None
     assert samples[-1].time == pytest.approx(29.99, rel=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("first", [7, 9])
 def test_frames_of_another_board_on_the_line_are_left_out_with_a_warning(
     tmp_path: Path, first: int
@@ -429,6 +430,7 @@ def test_an_impossible_hello_is_refused_with_a_sentence(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_recording_leaves_a_clean_file(
     tmp_path: Path, number: signal.Signals

@@ -151,6 +151,7 @@ def pulls(calibration: ResistorCalibration, board: Board) -> list[float]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_resistors_of_several_values_determine_every_number_of_every_line(kind: str) -> None:
     """The error of each line agrees with its σ, and the scene states both.

@@ -174,6 +174,7 @@ def test_a_specified_film_is_corrected() -> None:
         assert error_after_load < MAX_ERROR_AFTER if specified else error_after_load > UNCORRECTED
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "specified", [TRUE_FILM, replace(TRUE_FILM, deviation=0.2, cell_spread=0.2)]
 )
@@ -313,6 +314,7 @@ def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None
     assert with_film.lower.max() < 0 < with_film.upper.min()
 
 
+@pytest.mark.long
 @promise("apps/film/film: the zero of pressures is renewed while nothing touches the panel")
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(

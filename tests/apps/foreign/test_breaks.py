@@ -93,6 +93,7 @@ def test_a_capture_that_begins_within_a_frame_is_cut_or_asked_for(
     assert "are of a cut frame, and left out" in notes
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["whole", "swapped"])
 def test_readings_name_the_frames_that_are_none(tmp_path: Path, name: str) -> None:
     """Rows without names were swapped: the import names the frames."""
