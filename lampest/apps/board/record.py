@@ -165,13 +165,6 @@ class Tally:
         self.count.update(sample.events)
         self.unestimated.update(filter(None, [sample.frame.unestimated]))
 
-    def progress(self, sample: Sample | None, state: str = "", pending: int = 0) -> Progress:
-        """Return the progress with the newest sample, or with the state of the board.
-
-        `pending` frames are not in the file yet.
-        """
-        return Progress(sample, self.frames - pending, self.count["lost"], state)
-
 
 def record(
     boards: Listening,
@@ -211,35 +204,23 @@ def record(
         with (
             _naming_what_is_kept(tally, out),
             contextlib.closing(samples_of(listening)) as batches,
+            contextlib.ExitStack() as stack,
         ):
-            wanted = _wanted(batches, frames, seconds, boards.period or 1.0)
-            _keep(wanted, listening, states, out, tally, keys, on_progress)
+            journal: Journal | None = None
+            for batch in _wanted(batches, frames, seconds, boards.period or 1.0):
+                if batch:
+                    states[:] = [""]
+                    journal = journal or stack.enter_context(journal_for(batch[0], out))
+                    journal.append(batch, boards.baseline - tally.frames, keys)
+                    for sample in batch:
+                        tally.add(sample, behind=listening.ending())
+                        frames_in_file = tally.frames - journal.pending
+                        lost = tally.count["lost"]
+                        on_progress(Progress(sample, frames_in_file, lost, journal.trouble))
+                elif states[-1]:
+                    on_progress(Progress(None, tally.frames, tally.count["lost"], states[-1]))
         complete = bool(ended_by()) or tally.frames == frames
         return _finished(tally, out, ended_by(), None if complete else seconds)
-
-
-def _keep(
-    batches: Samples,
-    listening: Listening,
-    states: list[str],
-    out: Path,
-    tally: Tally,
-    keys: Callable[[], str],
-    on_progress: Callable[[Progress], None],
-) -> None:
-    """Append batches to the journal of `out`, and count them; `states` are those of the board."""
-    with contextlib.ExitStack() as stack:
-        journal: Journal | None = None
-        for batch in batches:
-            if batch:
-                states[:] = [""]
-                journal = journal or stack.enter_context(journal_for(batch[0], out))
-                journal.append(batch, listening.baseline - tally.frames, keys)
-                for sample in batch:
-                    tally.add(sample, behind=listening.ending())
-                    on_progress(tally.progress(sample, journal.trouble, journal.pending))
-            elif states[-1]:
-                on_progress(tally.progress(None, states[-1]))
 
 
 @contextlib.contextmanager
