@@ -1,6 +1,6 @@
 """Benchmark of solvers on simulated recordings; docs/studies/bench.py adds SciPy's solvers."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from itertools import product
@@ -24,13 +24,11 @@ from lampest.apps.studies.study import OnStep, column
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.sequence import first_stream
-from lampest.estimate.stream import Stream
 from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
-from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.recording.shapes import AnyShape, Rod
 from lampest.recording.simulation.measure import Unmodelled
@@ -304,7 +302,11 @@ def _frames(
     kind = "pair" if stream.estimator.joint_start else "first"
     for number, frame in enumerate(recording.measured_frames()):
         begin = perf_counter()
-        turns = _turns(streams, readings[frame], bench.repeats if number else 1)
+        turns = list[dict[str, Pushed]]()
+        for _ in range(bench.repeats if number else 1):
+            turns.append({name: pushed(each, readings[frame]) for name, each in streams.items()})
+            if sum(turn.seconds for turn in turns[-1].values()) > LONG_TURN_S:
+                break
         leader = min(turns[0].values(), key=attrgetter("objective"))
         # scale of the gap: φ_best + 1e-9 Σ R²
         size = leader.objective + 1e-9 * float(np.sum(readings[frame].value ** 2))
@@ -331,18 +333,6 @@ def _frames(
         }
         if perf_counter() - begin > end - perf_counter():
             return
-
-
-def _turns(
-    streams: Mapping[str, Stream], readings: Readings, repeats: int
-) -> list[dict[str, Pushed]]:
-    """Solve a frame by all solvers, several times in turn; once where that takes long."""
-    turns = list[dict[str, Pushed]]()
-    for _ in range(repeats):
-        turns.append({name: pushed(stream, readings) for name, stream in streams.items()})
-        if sum(turn.seconds for turn in turns[-1].values()) > LONG_TURN_S:
-            break
-    return turns
 
 
 ALL = "all"  # methods together
