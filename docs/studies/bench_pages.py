@@ -3,7 +3,7 @@
 A table stands between <!-- bench: NAME --> and <!-- /bench -->.
 
 Run it with: python -m docs.studies.bench_pages results/bench
-NAME is that of a section of bench.md: solvers, methods, growth or remarks.
+NAME is that of a section of bench.md or commands.md: solvers, methods, growth, remarks or commands.
 """
 
 import argparse
@@ -17,7 +17,7 @@ SECTION = re.compile(r"^## (\w+).*?\n\n(.*?)(?=^## |\Z)", re.DOTALL | re.MULTILI
 
 
 def sections(text: str) -> dict[str, str]:
-    """The tables of bench.md by their names."""
+    """The tables of a study's page by their names."""
     return {name: table.strip() + "\n" for name, table in SECTION.findall(text)}
 
 
@@ -37,7 +37,7 @@ def with_tables(text: str, tables: dict[str, str]) -> str:
 
 def main(folder: Path) -> None:
     """Replace the tables of every page, and say of which."""
-    tables = sections((folder / "bench.md").read_text(encoding="utf-8"))
+    tables = sections("\n".join(path.read_text(encoding="utf-8") for path in folder.glob("*.md")))
     for path in PAGES:
         before = path.read_text(encoding="utf-8")
         after = with_tables(before, tables)

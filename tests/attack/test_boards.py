@@ -24,6 +24,7 @@ from lampest.apps.board import stream
 from lampest.apps.board.journal import repair
 from lampest.apps.board.protocol import Hello, message
 from lampest.apps.board.record import record
+from lampest.apps.board.sample import Listening
 from lampest.apps.live.publish import publish_at
 from tests.bodies import hello_body
 
@@ -33,8 +34,10 @@ LIMIT_S = 0.5
 SLACK_S = 15.0
 RECORDER = (
     "import sys; from pathlib import Path; from lampest.apps.board.record import record\n"
+    "from lampest.apps.board.sample import Listening\n"
     "tell = lambda now: print(now.frames, flush=True)\n"
-    "record(sys.argv[1], Path(sys.argv[2]), period=0.01, baseline=3, on_progress=tell)"
+    "boards = Listening((sys.argv[1],), baseline=3, period=0.01)\n"
+    "record(boards, Path(sys.argv[2]), on_progress=tell)"
 )
 
 
@@ -76,7 +79,7 @@ def test_a_flooding_or_lying_line_ends_in_time_with_counted_losses(
         limits = {"frames": 30} if rng.random() < 0.5 else {"seconds": 0.5}
         with mock.patch.object(stream, "UNFIT_SECONDS", LIMIT_S), wild_board(_script(rng)) as board:
             try:
-                summary = record(board.port, out, period=0.01, **limits)
+                summary = record(Listening((board.port,), period=0.01), out, **limits)
                 # A frame whose number and clock lie alike may be believed as far as ten seconds
                 # ahead.
                 lost = summary.lost > 1200 * (summary.restarts + summary.frames)

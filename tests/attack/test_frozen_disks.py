@@ -14,6 +14,7 @@ from wild_board import hundred_a_second, wild_board
 from lampest import Recording
 from lampest.apps.board.journal import Journal
 from lampest.apps.board.record import record
+from lampest.apps.board.sample import Listening
 
 FRAMES = 300  # of three seconds
 FROZEN_S = 2.0
@@ -39,7 +40,7 @@ def test_a_disk_frozen_for_seconds_costs_no_frame(
 
     monkeypatch.setattr(Journal, "append", stalled)
     with wild_board(hundred_a_second) as board:
-        summary = record(board.port, tmp_path / "r.h5", period=0.01, frames=FRAMES)
+        summary = record(Listening((board.port,), period=0.01), tmp_path / "r.h5", frames=FRAMES)
     recording = Recording.load(tmp_path / "r.h5")
     assert (summary.frames, summary.lost) == (FRAMES, 0) and len(calls) > FROZEN_CALL
     assert recording.acquisition is not None

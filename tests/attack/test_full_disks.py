@@ -86,7 +86,7 @@ def fill(disk: Path, remaining: int = 0) -> Path:
 
 def recorded(out: Path, frames: int = FRAMES, **options: Any) -> Any:
     with wild_board(hundred_a_second) as board:
-        return record(board.port, out, period=0.01, frames=frames, **options)
+        return record(Listening((board.port,), period=0.01), out, frames=frames, **options)
 
 
 def check_frames(out: Path, frames: int) -> Recording:

@@ -39,7 +39,7 @@ from lampest.apps.board.sample import (
     CLOCK_STOPPED,
     HOST_CLOCK_SET,
     OTHER_BOARD,
-    LineOptions,
+    Listening,
 )
 from lampest.apps.live.engine import Engine
 from lampest.apps.live.run import from_recording
@@ -360,15 +360,12 @@ def test_a_recording_ends_with_a_line_and_its_warnings(
 
         monkeypatch.setattr("lampest.apps.board.record.record", record)
         completed = lampest(*words)
-        assert requested.pop("places") == (["p"], Path("r.h5"))
+        boards = Listening(("p",), None, 2, 0.5, lines=True, baud=115200, unit="kohm")
+        assert requested.pop("places") == (boards, Path("r.h5"))
         assert requested == {
             "frames": 7,
             "seconds": None,
-            "scene": None,
-            "baseline": 2,
-            "period": 0.5,
             "keys": "",
-            "options": LineOptions(lines=True, baud=115200, unit="kohm"),
         }
         assert (
             completed.out

@@ -69,7 +69,7 @@ def record(
     """
     from lampest.apps.board.port import pressed_keys
     from lampest.apps.board.record import record as record_board
-    from lampest.apps.board.sample import LineOptions
+    from lampest.apps.board.sample import Listening
 
     if list_:
         _list_ports()
@@ -78,22 +78,19 @@ def record(
         raise InputError("--out: name the new recording")
     if count is not None and seconds is not None:
         raise InputError("--count and --seconds: give one of them")
-    recorded_scene = screen.scene_of(scene, assign)
+    agreed = screen.scene_of(scene, assign)
+    boards = Listening(tuple(port or ()), agreed, baseline, period, lines, baud, unit)
     with (
         pressed_keys(listens="-" not in (port or ())) as keys,
         screen.progress("waiting for the board") as show,
     ):
         done = record_board(
-            port,
+            boards,
             out,
             frames=count,
             seconds=seconds,
-            scene=recorded_scene,
-            baseline=baseline,
-            period=period,
             on_progress=lambda at: show(at.frames, count, _progress_line(at)),
             keys=keys,
-            options=LineOptions(lines, baud, unit),
         )
     report_recorded(done)
 

@@ -7,8 +7,8 @@ recording at the end.
 import contextlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 
@@ -22,8 +22,6 @@ from lampest.apps.board.sample import (
     OTHER_BOARD,
     TOO_FAST,
     UNFIT_SECONDS,
-    USUAL,
-    LineOptions,
     Listening,
     Printing,
     Sample,
@@ -167,26 +165,15 @@ class Tally:
         self.count.update(sample.events)
         self.unestimated.update(filter(None, [sample.frame.unestimated]))
 
-    def progress(self, sample: Sample | None, state: str = "", pending: int = 0) -> Progress:
-        """Return the progress with the newest sample, or with the state of the board.
 
-        `pending` frames are not in the file yet.
-        """
-        return Progress(sample, self.frames - pending, self.count["lost"], state)
-
-
-def record(  # noqa: PLR0913 # the options of a command
-    ports: str | Sequence[str] | None,
+def record(
+    boards: Listening,
     out: Path,
     *,
     frames: int | None = None,
     seconds: float | None = None,
-    scene: Scene | None = None,
-    baseline: int = 0,
-    period: float | None = None,
     on_progress: Callable[[Progress], None] = lambda progress: None,
     keys: Callable[[], str] = lambda: "",
-    options: LineOptions = USUAL,
 ) -> Recorded:
     """Record frames from a board into the file `out`, in ohm or volt as the readout gives them.
 
@@ -196,68 +183,44 @@ def record(  # noqa: PLR0913 # the options of a command
 
     Parameters
     ----------
-    ports : str, sequence of str, or None
-        Port, as `lampest.apps.board.source.source_at` opens it; for a panel of modules those of
-        all boards in the order of the modules. None: the only port that looks like an Arduino.
+    boards : Listening
+        Boards; `on_state` and `ending` are those of the recording.
     out : Path
         File that must not exist yet.
     frames, seconds : int and float, or None
         Number of frames, and time in s, after which to end.
-    scene : Scene, or None
-        Scene that the board must fit, and by which it is configured; by default the board's own.
-    baseline : int
-        Number of unloaded frames at the beginning.
-    period : float, or None
-        Time between frames in s; by default 1 s, or the shortest possible if that is longer.
     on_progress : callable
         Called after every frame, and when the board appears or disappears.
     keys : callable
         Returns the keys pressed since its last call; each marks an event.
-    options : LineOptions
-        How the port is read.
     """
     check_output(out)
     if out.exists():
         raise InputError(f"{out}: exists already; a recording is never written over")
-    urls: Sequence[str] = (ports,) if isinstance(ports, str) else ports or ()
     tally = Tally()
     states = [""]
     with ending_signals(lambda: tally.frames > 0 and not states[-1]) as ended_by:
-        listening = Listening(
-            scene, period, states.append, lambda: bool(ended_by()), baseline, options
-        )
+        listening = replace(boards, on_state=states.append, ending=lambda: bool(ended_by()))
         with (
             _naming_what_is_kept(tally, out),
-            contextlib.closing(samples_of(urls, listening)) as batches,
+            contextlib.closing(samples_of(listening)) as batches,
+            contextlib.ExitStack() as stack,
         ):
-            wanted = _wanted(batches, frames, seconds, period or 1.0)
-            _keep(wanted, listening, states, out, tally, keys, on_progress)
+            journal: Journal | None = None
+            for batch in _wanted(batches, frames, seconds, boards.period or 1.0):
+                if batch:
+                    states[:] = [""]
+                    journal = journal or stack.enter_context(journal_for(batch[0], out))
+                    journal.append(batch, boards.baseline - tally.frames, keys)
+                    for sample in batch:
+                        tally.add(sample, behind=listening.ending())
+                        frames_in_file = tally.frames - journal.pending
+                        lost = tally.count["lost"]
+                        on_progress(Progress(sample, frames_in_file, lost, journal.trouble))
+                elif states[-1]:
+                    on_progress(Progress(None, tally.frames, tally.count["lost"], states[-1]))
         complete = bool(ended_by()) or tally.frames == frames
         return _finished(tally, out, ended_by(), None if complete else seconds)
-
-
-def _keep(
-    batches: Samples,
-    listening: Listening,
-    states: list[str],
-    out: Path,
-    tally: Tally,
-    keys: Callable[[], str],
-    on_progress: Callable[[Progress], None],
-) -> None:
-    """Append batches to the journal of `out`, and count them; `states` are those of the board."""
-    with contextlib.ExitStack() as stack:
-        journal: Journal | None = None
-        for batch in batches:
-            if batch:
-                states[:] = [""]
-                journal = journal or stack.enter_context(journal_for(batch[0], out))
-                journal.append(batch, listening.baseline - tally.frames, keys)
-                for sample in batch:
-                    tally.add(sample, behind=listening.ending())
-                    on_progress(tally.progress(sample, journal.trouble, journal.pending))
-            elif states[-1]:
-                on_progress(tally.progress(None, states[-1]))
 
 
 @contextlib.contextmanager

@@ -70,54 +70,42 @@ AnySettings = Hello | Printing
 
 
 @dataclass(frozen=True)
-class LineOptions:
-    """How a port is read.
+class Listening:
+    """Boards that are listened to, and how.
 
     Attributes
     ----------
+    ports : tuple of str
+        Ports, as `lampest.apps.board.source.source_at` opens them; for a panel of modules those of
+        all boards in the order of the modules. By default the only port that looks like an Arduino.
+    scene : Scene or None
+        Scene that the board must fit, and by which it is configured; None: the board's own.
+    baseline : int
+        Number of unloaded frames at the beginning, for a board that estimates as well.
+    period : float or None
+        Time between frames in s; by default 1 s, or the shortest possible if that is longer.
     lines : bool
         Whether the board is known to print, so that it is not asked whether it is lampest's own.
     baud : int or None
         Rate of a serial port; None: that of lampest's own boards, then usual ones of others.
     unit : str or None
         Unit of printed numbers, as of an import; None: by the lines, or by the numbers.
-    """
-
-    lines: bool = False
-    baud: int | None = None
-    unit: str | None = None
-
-
-USUAL = LineOptions()
-
-
-@dataclass(frozen=True)
-class Listening:
-    """How boards are listened to.
-
-    Attributes
-    ----------
-    scene : Scene or None
-        Scene that the board must fit; None: the board's own.
-    period : float or None
-        Time between frames in s.
     on_state : callable
         Called with a sentence when a board disappears.
     ending : callable
         Called repeatedly; once it returns True, the messages that the port has received follow as a
         last batch.
-    baseline : int
-        Number of unloaded frames at the beginning, for a board that estimates as well.
-    options : LineOptions
-        How the port is read.
     """
 
+    ports: tuple[str, ...] = ()
     scene: Scene | None = None
+    baseline: int = 0
     period: float | None = None
+    lines: bool = False
+    baud: int | None = None
+    unit: str | None = None
     on_state: Callable[[str], None] = lambda sentence: None
     ending: Callable[[], bool] = lambda: False
-    baseline: int = 0
-    options: LineOptions = USUAL
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,15 +35,16 @@ Stamped = tuple[float, Sample]  # start of the scan in s on the host's steady cl
 Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]
 
 
-def samples_of(ports: Sequence[str], listening: Listening) -> Samples:
+def samples_of(listening: Listening) -> Samples:
     """Return samples as `board_samples`, of one board or of one for each module in order.
 
     The one board is by default the only one. Of modules the boards' own estimates are left out; one
-    board that prints (`options.lines`) may print all of them.
+    board that prints (`lines`) may print all of them.
     """
     scene = listening.scene
+    ports = listening.ports
     modules = None if scene is None else scene.panel.modules
-    joined = listening.options.lines and len(ports) == 1
+    joined = listening.lines and len(ports) == 1
     if scene is None or modules is None or (joined and modules.count > 1):
         if len(ports) > 1:
             raise InputError(
@@ -64,7 +65,7 @@ def samples_of(ports: Sequence[str], listening: Listening) -> Samples:
         raise InputError(
             "modules that are recorded together need a readout with one number of readings for all"
         )
-    return _images(scene, numbers, ports, listening)
+    return _images(scene, numbers, listening)
 
 
 class Alignment:
@@ -175,9 +176,7 @@ class Alignment:
         return None
 
 
-def _images(
-    scene: Scene, numbers: Sequence[int], ports: Sequence[str], listening: Listening
-) -> Samples:
+def _images(scene: Scene, numbers: Sequence[int], listening: Listening) -> Samples:
     """Yield samples of the whole image in batches; see `board_samples`.
 
     `numbers` are the modules of the boards.
@@ -189,7 +188,7 @@ def _images(
     arrived = Arrived()
     states = [""] * len(numbers)
     present = {*current.boards}
-    with _listeners(scene, numbers, ports, listening, arrived, ended):
+    with _listeners(scene, numbers, listening, arrived, ended):
         while present or not arrived.empty():
             if listening.ending():
                 ended.set()
@@ -213,7 +212,8 @@ def _images(
             yield tuple(images)
             if images and current.missing:
                 gone = (
-                    f"module {places[board]} at {ports[board]}: {states[board] or 'no frame came'}"
+                    f"module {places[board]} at {listening.ports[board]}: "
+                    f"{states[board] or 'no frame came'}"
                     for board in current.missing
                 )
                 listening.on_state("; ".join(gone))
@@ -224,7 +224,6 @@ def _images(
 def _listeners(
     scene: Scene,
     numbers: Sequence[int],
-    ports: Sequence[str],
     listening: Listening,
     arrived: Arrived,
     ended: Event,
@@ -248,7 +247,7 @@ def _listeners(
                     ending=ended.is_set,
                     baseline=0,
                 )
-                with closing(board_samples(ports[board], how)) as batches:
+                with closing(board_samples(listening.ports[board], how)) as batches:
                     for sample in chain.from_iterable(batches):
                         sessions = before + sample.session + 1
                         arrived.put((board, replace(sample, session=sessions - 1)))
@@ -257,7 +256,7 @@ def _listeners(
                 ended.wait(RETRY_SECONDS)
         arrived.put((board, None))
 
-    threads = [Thread(target=listen, args=(board,), daemon=True) for board in range(len(ports))]
+    threads = [Thread(target=listen, args=(board,), daemon=True) for board in range(len(numbers))]
     for thread in threads:
         thread.start()
     try:

@@ -356,8 +356,7 @@ class _Line:
         self._how = listening
         self._scene = listening.scene
         self._printer: Printer | None = None
-        usual = PRINTED_BAUDS[0] if listening.options.lines else BAUD
-        self.baud = listening.options.baud or usual
+        self.baud = listening.baud or (PRINTED_BAUDS[0] if listening.lines else BAUD)
         self.heard = 0  # bytes of the current connection
         self.last: Sample | None = None
         self.renew()
@@ -382,7 +381,7 @@ class _Line:
 
     def connection(self, source: ByteSource) -> Samples:
         """Yield samples until the board disappears or the end is requested."""
-        if self._printer is not None or self._how.options.lines or source.one_way:
+        if self._printer is not None or self._how.lines or source.one_way:
             yield from self._printed(source, b"")
             return
         board = Board(source, self._url)
@@ -406,7 +405,7 @@ class _Line:
             raise NoBoardError(f"{self._url}: no lampest board answers any more")
         how = self._how
         if self._printer is None and not source.one_way:
-            heard = text_at_some_rate(source, heard, self._url, how.options.baud)
+            heard = text_at_some_rate(source, heard, self._url, how.baud)
         if self._scene is None:
             first = line_text(heard.strip().partition(b"\n")[0].strip())
             prints = f"prints {first[:MAX_SHOWN]!r} first" if first else "printed nothing yet"
@@ -415,7 +414,7 @@ class _Line:
                 "--scene says the rows, columns and circuit of a board that prints"
             )
         if self._printer is None:
-            self._printer = Printer(self._url, self._scene, how.options.unit, how.period)
+            self._printer = Printer(self._url, self._scene, how.unit, how.period)
         for samples in self._printer.samples(source, heard, how.on_state, how.ending):
             if samples:
                 self.heard = 1

@@ -127,30 +127,26 @@ def joined_frames(parts: Sequence[Frames], files: Sequence[str], source: str, no
         part = int(np.searchsorted(ends, at, side="right"))
         return source if at < 0 else parts[part].named(at - begins[part])
 
+    # Each note once, at most MAX_NOTES: first those of all files, then those of some.
+    by_note: dict[str, list[str]] = {}
+    for part, file in zip(parts, files, strict=True):
+        for text in dict.fromkeys(part.notes):
+            by_note.setdefault(text, []).append(file)
+    texts = sorted(by_note, key=lambda text: len(by_note[text]) < len(parts))
+    notes = [
+        text if len(by_note[text]) == len(parts) else f"{first_and_more(by_note[text], 3)}: {text}"
+        for text in texts[:MAX_NOTES]
+    ]
+    if len(texts) > MAX_NOTES:
+        notes.append(f"{counted(len(texts) - MAX_NOTES, 'more note')} on single files")
     return Frames(
         np.concatenate([part.numbers for part in parts]),
         np.concatenate(number),
         named,
         None,
-        (note, *_joined_notes(parts, files)),
+        (note, *notes),
         tuple(dict.fromkeys(word for part in parts for word in part.words)),
     )
-
-
-def _joined_notes(parts: Sequence[Frames], files: Sequence[str]) -> Iterator[str]:
-    """Yield each note of files once, at most MAX_NOTES.
-
-    First come those of all files, then those of some behind their names.
-    """
-    named: dict[str, list[str]] = {}
-    for part, file in zip(parts, files, strict=True):
-        for note in dict.fromkeys(part.notes):
-            named.setdefault(note, []).append(file)
-    for note in sorted(named, key=lambda note: len(named[note]) < len(parts))[:MAX_NOTES]:
-        names = named[note]
-        yield note if len(names) == len(parts) else f"{first_and_more(names, 3)}: {note}"
-    if len(named) > MAX_NOTES:
-        yield f"{counted(len(named) - MAX_NOTES, 'more note')} on single files"
 
 
 @dataclass(frozen=True)

@@ -44,9 +44,16 @@ def whole_parts(values: Array, rows: int) -> list[range] | None:
             breaks = []
         elif len(alone) == 1:
             breaks = alone
+        elif breaks:
+            return None
         else:
-            begin = None if breaks else _first_row(values, rows)
-            return None if begin is None else [range(begin, len(values))]
+            # The first whole frame begins at the largest step between lines: the last row and the
+            # first one of the next frame are no neighbours.
+            steps = _distances(values, 1)
+            usual = np.array([np.median(steps[(row - 1) % rows :: rows]) for row in range(rows)])
+            order = np.argsort(usual)
+            clear = rows > 2 and usual[order[-1]] > MIN_STEP * usual[order[-2]]
+            return [range(int(order[-1]), len(values))] if clear else None
     parts = _between(breaks, len(values), rows)
     plain = [range(len(values))]
     if not breaks or _misfit(values, rows, parts) < MAX_MISFIT * _misfit(values, rows, plain):
@@ -102,19 +109,6 @@ def _breaks(values: Array, rows: int) -> list[Break]:
         if all(abs(place.first - other.first) >= 2 * rows for other in chosen):
             chosen.append(place)
     return sorted(chosen)
-
-
-def _first_row(values: Array, rows: int) -> int | None:
-    """Return the first line of the first whole frame, by the largest step between lines.
-
-    The last row and the first one of the next frame are no neighbours. None if no step is clearly
-    the largest.
-    """
-    steps = _distances(values, 1)
-    usual = np.array([np.median(steps[(row - 1) % rows :: rows]) for row in range(rows)])
-    order = np.argsort(usual)
-    clear = rows > 2 and usual[order[-1]] > MIN_STEP * usual[order[-2]]
-    return int(order[-1]) if clear else None
 
 
 def _distances(values: Array, lag: int) -> Array:

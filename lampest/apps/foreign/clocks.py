@@ -151,8 +151,22 @@ def _clock_of_stamps(stamps: Sequence[str], way: str, first: str, where: Where) 
     if way:
         zone = "" if times[0].tzinfo else ", no zone in the file"
         if not times[0].tzinfo:
-            seconds, changed = _through_changes(seconds, times)
-            zone += changed
+            # Clocks are changed by an hour: in autumn times fall by it but for the step between
+            # frames, in spring they leave out an hour from its beginning.
+            steps = np.diff(seconds)
+            usual = float(np.median(steps)) if len(steps) else 0.0
+            slack = 3 * max(usual, 1e-3)
+            begins = [
+                time.hour != last.hour and time.minute * 60 + time.second <= slack
+                for last, time in pairwise(times)
+            ]
+            back = (steps < 0) & (np.abs(steps + HOUR) <= slack)
+            ahead = (np.abs(steps - HOUR - usual) <= slack) & np.array(begins, dtype=bool)
+            changed = back | ahead
+            if 0 < usual <= HOUR / 10 and 1 <= np.sum(changed) <= 2:
+                seconds += HOUR * np.append(0, np.cumsum(back.astype(float) - ahead))
+                at = times[1 + int(np.argmax(changed))].isoformat(" ")
+                zone += f"; clocks were changed by an hour at {at}"
         sentence = f"{way}, s from the first, which is {stamps[0]}{zone}"
     else:  # across midnight
         day = SECONDS["d"]
@@ -162,28 +176,6 @@ def _clock_of_stamps(stamps: Sequence[str], way: str, first: str, where: Where) 
         )
     seconds, cut = _growing(seconds, where)
     return Clock(seconds, stamps[0] if way else None, f"{sentence}{cut}")
-
-
-def _through_changes(seconds: Array, times: Sequence[datetime]) -> tuple[Array, str]:
-    """Return times without a zone that go on where clocks were changed by an hour.
-
-    In autumn they fall by an hour but for the step between frames; in spring they leave out an
-    hour from its beginning.
-    """
-    steps = np.diff(seconds)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    slack = 3 * max(usual, 1e-3)
-    begins = [
-        time.hour != last.hour and time.minute * 60 + time.second <= slack
-        for last, time in pairwise(times)
-    ]
-    back = (steps < 0) & (np.abs(steps + HOUR) <= slack)
-    ahead = (np.abs(steps - HOUR - usual) <= slack) & np.array(begins, dtype=bool)
-    if usual <= 0 or usual > HOUR / 10 or not 1 <= np.sum(back | ahead) <= 2:
-        return seconds, ""
-    shifts = HOUR * np.append(0, np.cumsum(back.astype(float) - ahead))
-    at = times[1 + int(np.argmax(back | ahead))].isoformat(" ")
-    return seconds + shifts, f"; clocks were changed by an hour at {at}"
 
 
 def _iso(text: str, way: str) -> str:
@@ -224,7 +216,15 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     how = " (as specified)" if unit else ""
     unit = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(word)
     if unit is None:
-        unit, how = _counted_unit(values, largest, restarted=bool(restarts[-1]))
+        steps = np.diff(values)
+        finite = values[np.isfinite(values)]
+        usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+        # Frames come every 10 ms to 10 s.
+        counted = "us" if usual >= 10_000 else "ms"
+        limit = EPOCH if counted == "ms" and not restarts[-1] else COUNTER
+        if usual >= 10 and largest < limit and np.all(finite == np.round(finite)):
+            unit = counted
+            how = f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
     if unit is None and _are_days(values):
         unit = "d"
     elif unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
@@ -243,30 +243,6 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     restarted = f"; the counter began again {times}" if wraps[-1] else ""
     sentence = f"{unit or 's (assumed; --time-unit says otherwise)'}{restarted}{how}{cut}"
     return Clock(seconds, None, sentence, unit or "s")
-
-
-def _counted_unit(values: Array, largest: float, *, restarted: bool) -> tuple[str | None, str]:
-    """Return the unit of a counter by the usual step of whole numbers, and the reason in words.
-
-    None and '' where the numbers are no count of ms or us.
-
-    Parameters
-    ----------
-    values : array, shape (frames,)
-    largest : float
-        Largest of them.
-    restarted : bool
-        Whether the counter began again.
-    """
-    steps = np.diff(values)
-    finite = values[np.isfinite(values)]
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    # Frames come every 10 ms to 10 s.
-    unit = "us" if usual >= 10_000 else "ms"
-    limit = EPOCH if unit == "ms" and not restarted else COUNTER
-    if usual < 10 or largest >= limit or not np.all(finite == np.round(finite)):
-        return None, ""
-    return unit, f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
 
 
 def _are_days(values: Array) -> bool:

@@ -241,8 +241,22 @@ def _divided(
     groups = [*_segmented(parts[0], keys, ends)]
     for last, part in pairwise(parts):
         groups += [Placed(last.stop, (), ()), *_segmented(part, keys, ends)]
-    if ends.lines > 1:
-        groups, remarks = _trimmed(table, groups, ends)
+    if ends.lines > 1 and (ends.gapless or not ends.ranks):
+        # A first and a last frame that are not whole are left out; others are named.
+        remarks: list[str] = []
+        for name, at, others in (("first", 0, slice(1, None)), ("last", -1, slice(-1))):
+            if len(groups) > 1 and groups[at].remark:
+                begin = table.called(groups[at].begin)
+                remarks.append(f"the {name} frame ({begin}) is cut and left out")
+                groups = groups[others]
+        odd = [
+            f"the frame at {table.called(group.begin)} {group.remark}"
+            for group in groups
+            if group.remark
+        ]
+        remarks += odd[:MAX_REMARKS]
+        if len(odd) > MAX_REMARKS:
+            remarks.append(f"so have {counted(len(odd) - MAX_REMARKS, 'more frame')}")
         notes = [*remarks, *notes]
     if ends.title is not None:
         skipped = [
@@ -285,28 +299,6 @@ def _parts_by_readings(
         for last, part in pairwise(parts)
     ]
     return parts, notes
-
-
-def _trimmed(
-    table: ReadingsTable, groups: list[Placed], ends: FrameEnds
-) -> tuple[list[Placed], list[str]]:
-    """Return the frames without a first and a last one that are not whole, and notes on others."""
-    notes: list[str] = []
-    if ends.ranks and not ends.gapless:
-        return groups, notes
-    for name, at, others in (("first", 0, slice(1, None)), ("last", -1, slice(-1))):
-        if len(groups) > 1 and groups[at].remark:
-            notes.append(f"the {name} frame ({table.called(groups[at].begin)}) is cut and left out")
-            groups = groups[others]
-    odd = [
-        f"the frame at {table.called(group.begin)} {group.remark}"
-        for group in groups
-        if group.remark
-    ]
-    notes += odd[:MAX_REMARKS]
-    if len(odd) > MAX_REMARKS:
-        notes.append(f"so have {counted(len(odd) - MAX_REMARKS, 'more frame')}")
-    return groups, notes
 
 
 def _with_merged_keys(table: ReadingsTable, arrangement: TableLayout) -> ReadingsTable:

@@ -209,8 +209,18 @@ def _recording(  # noqa: PLR0913 # the options of an import
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     if resting is not None or scene.baseline == "subtracted":
         values, scene = _restored(values, scene, role, resting, path)
-    elif scene.baseline is None:
-        _check_unprocessed(values, unit, scene, role, path)
+    elif scene.baseline is None and scene.readout is not None and unit not in RESISTANCES:
+        # Readings in volt or codes that firmware has changed are refused.
+        readout = scene.readout
+        if readout.floor_code is None:
+            lowest = -np.inf if readout.characteristic.signed else 0.0
+            changed = processing_of(values, role == UNLOADED, panel.present, lowest)
+            if not changed and unit == "volt":
+                changed = normalised(values, readout.full_scale_volt)
+            if changed:
+                raise InputError(
+                    f"{path}: these are no readings as the converter gives them: {changed}"
+                )
     recorded = recorded_values(values, unit, scene, frames.place, path)
     kept, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
     recording = Recording(
@@ -224,24 +234,6 @@ def _recording(  # noqa: PLR0913 # the options of an import
     assumed = _assumed(scene, source)
     notes = (*frames.notes, reason, clock.sentence, assumed, gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
-
-
-def _check_unprocessed(
-    values: Array, unit: str, scene: Scene, role: NDArray[np.uint8], path: Path
-) -> None:
-    """Raise InputError for readings in volt or codes that firmware has changed.
-
-    See `processing_of`.
-    """
-    readout = scene.readout
-    if readout is None or unit in RESISTANCES or readout.floor_code is not None:
-        return
-    lowest = -np.inf if readout.characteristic.signed else 0.0
-    reason = processing_of(values, role == UNLOADED, scene.panel.present, lowest)
-    if not reason and unit == "volt":
-        reason = normalised(values, readout.full_scale_volt)
-    if reason:
-        raise InputError(f"{path}: these are no readings as the converter gives them: {reason}")
 
 
 def _restored(

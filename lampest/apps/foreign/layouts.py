@@ -357,46 +357,31 @@ def _rows_in_lines(table: ReadingsTable, shape: Shape) -> TableLayout:
         if not any(table.names) and np.nanmax(numbers, initial=0.0) > shape[0]:
             times = [labelled]
         else:
+            # More than a few texts that name no row of the panel, or a column, are refused.
             roles["row"] = labelled
-            first = _first_of_rows(table, labelled, shape[0])
-    columns, order = _column_order(table, extra, shape[1])
-    cells = {extra + at: (0, column) for at, column in enumerate(columns)}
-    named = "rows by their names" if "row" in roles else "rows from top to bottom"
-    note = f"one row a line, {shape[0]} lines a frame; {named}, {order}"
-    return TableLayout(shape, shape[0], cells, note, roles, tuple(times), first)
-
-
-def _first_of_rows(table: ReadingsTable, column: int, rows: int) -> int:
-    """Return the number of the first row among the rows' names in a field, 0 or 1.
-
-    Raises InputError if more than a few of them are none of the panel's rows, or name columns.
-    """
-    texts = table.fields[:, column]
-    lines = [line_of(text) or ("", -1) for text in texts]
-    numbers = np.array([number for _, number in lines])
-    first = int(not np.any(numbers == 0))
-    bad = (numbers < first) | (numbers - first >= rows)
-    if np.sum(bad & (texts != "")) > MAX_CUT * len(bad):
-        table.refuse(bad, column, f"{{0!r}} is none of the panel's {rows} rows")
-    columns = np.array([re.fullmatch(COLUMN, word) is not None for word, _ in lines])
-    table.refuse(columns, column, "{0!r} names a column; `transpose` swaps the two")
-    return first
-
-
-def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[int], str]:
-    """Return the panel's column of each field, and a note.
-
-    The columns are found by numbers in the names of the fields or in their order.
-    """
+            texts = table.fields[:, labelled]
+            lines = [line_of(text) or ("", -1) for text in texts]
+            named_rows = np.array([number for _, number in lines])
+            first = int(not np.any(named_rows == 0))
+            bad = (named_rows < first) | (named_rows - first >= shape[0])
+            if np.sum(bad & (texts != "")) > MAX_CUT * len(bad):
+                table.refuse(bad, labelled, f"{{0!r}} is none of the panel's {shape[0]} rows")
+            columns = np.array([re.fullmatch(COLUMN, word) is not None for word, _ in lines])
+            table.refuse(columns, labelled, "{0!r} names a column; `transpose` swaps the two")
+    # Columns are in the order of the numbers in their names, or of the fields.
     names = table.names[extra:]
-    lines = list(filter(None, map(line_of, names)))
-    numbers = [number for _, number in lines]
-    first = min(numbers, default=0)
-    order = [number - first for number in numbers]
-    if first > 1 or sorted(order) != list(range(columns)) or len(names) != columns:
-        return list(range(columns)), "columns from left to right"
-    if any(re.fullmatch(ROW, word) for word, _ in lines):
+    named_columns = list(filter(None, map(line_of, names)))
+    begin = min((number for _, number in named_columns), default=0)
+    places = [number - begin for _, number in named_columns]
+    order = f"columns by their names from {begin}"
+    if begin > 1 or sorted(places) != list(range(shape[1])) or len(names) != shape[1]:
+        places = list(range(shape[1]))
+        order = "columns from left to right"
+    elif any(re.fullmatch(ROW, word) for word, _ in named_columns):
         raise InputError(
             f"{table.source.source}: the header's {names[0]!r} names a row; `transpose` swaps"
         )
-    return order, f"columns by their names from {first}"
+    cells = {extra + at: (0, column) for at, column in enumerate(places)}
+    named = "rows by their names" if "row" in roles else "rows from top to bottom"
+    note = f"one row a line, {shape[0]} lines a frame; {named}, {order}"
+    return TableLayout(shape, shape[0], cells, note, roles, tuple(times), first)

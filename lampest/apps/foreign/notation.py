@@ -136,7 +136,19 @@ class Notation:
         joined = Counter(len(re.findall(r"\t+", line.strip("\t"))) for line in sample)
         by_tabs = max(joined.values(), default=0) > max(single.values(), default=0)
         separated = any(delimiter in line.strip() for line in sample)
-        rows, parts = _parts_of(sample, delimiter)
+        # The sign that parts most lines; parts are about equally long: a time before is none.
+        rows = ""
+        parts = 1
+        often = Counter(sign for line in sample for sign in set(BETWEEN_ROWS.findall(line)))
+        for sign, count in often.items():
+            if not rows and 2 * count > len(sample) and sign != delimiter:
+                rows = sign
+                lengths = Counter(
+                    tuple(part.count(delimiter) for part in line.strip(f" {sign}").split(sign))
+                    for line in sample
+                )
+                equal = lengths.most_common(1)[0][0]
+                parts = len(equal) if max(equal) <= 2 * min(equal) + 1 else 1
         return cls(delimiter, delimiter == "\t" and by_tabs, (), separated, 0, rows, parts)
 
     @property
@@ -279,23 +291,6 @@ def _plain(content: str) -> str:
     values_text = content[labelled.end() :]
     sign = next((sign for sign in DELIMITERS if sign in values_text), " ")
     return f"{labelled[labelled.lastindex or 0]}{sign}{values_text}"
-
-
-def _parts_of(lines: Sequence[str], delimiter: str) -> tuple[str, int]:
-    """Return the sign that parts most lines beside the delimiter, or '', and the number of parts.
-
-    Parts are about equally long: a time before the values is none.
-    """
-    often = Counter(sign for line in lines for sign in set(BETWEEN_ROWS.findall(line)))
-    for sign, count in often.items():
-        if 2 * count > len(lines) and sign != delimiter:
-            lengths = Counter(
-                tuple(part.count(delimiter) for part in line.strip(f" {sign}").split(sign))
-                for line in lines
-            )
-            usual = lengths.most_common(1)[0][0]
-            return sign, len(usual) if max(usual) <= 2 * min(usual) + 1 else 1
-    return "", 1
 
 
 def _without_letters(content: str) -> str:

@@ -51,10 +51,15 @@ def records_of(path: Path) -> tuple[Arrays | FieldLines, tuple[str, ...]]:
     records = content if isinstance(content, list) else [content]
     if not records or not all(isinstance(record, dict) for record in records):
         return _arrays(path, {"": content}), notes
-    held = _short_names([part for record in records for part in _parts(record)])
+    held = [part for record in records for part in _parts(record)]
+    # Last words of names, where these are different, are enough.
+    short = {name: name.rpartition(".")[2] for name in dict.fromkeys(chain.from_iterable(held))}
+    often = Counter(short.values())
+    names = {name: word if often[word] == 1 else name for name, word in short.items()}
+    held = [{names[name]: value for name, value in record.items()} for record in held]
     if len(held) == 1 and not isinstance(content, list):
         return _arrays(path, held[0]), notes
-    fields = list(dict.fromkeys(name for record in held for name in record))
+    fields = list(names.values())
     if all(_is_value(value) for record in held for value in record.values()):
 
         def at(number: int, field: int | None) -> str:
@@ -88,17 +93,6 @@ def _parts(record: dict[str, Any]) -> Iterator[dict[str, Any]]:
     own = {name: value for name, value in values.items() if _is_value(value)}
     for part in values[longest]:
         yield from _parts(own | {f"{longest}.{name}": value for name, value in part.items()})
-
-
-def _short_names(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return records with the last words of their names, where these are different."""
-    names = dict.fromkeys(name for record in records for name in record)
-    short = {name: name.rpartition(".")[2] for name in names}
-    often = Counter(short.values())
-    return [
-        {short[name] if often[short[name]] == 1 else name: value for name, value in record.items()}
-        for record in records
-    ]
 
 
 def _is_value(value: Any) -> bool:

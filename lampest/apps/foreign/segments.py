@@ -223,9 +223,15 @@ def scan_order(positions: Sequence[int], parts: Mask) -> Mapping[int, int]:
     ]
     ascending = sorted({position for position, _ in read})
     orders: list[Sequence[int]] = [ascending, ascending[::-1]]
+    # Positions of lines up to one that occurs again, or before which a part begins.
+    sequences: list[list[int]] = [[]]
+    for position, new in read:
+        if new or position in sequences[-1]:
+            sequences.append([])
+        sequences[-1].append(position)
     cycles = Counter(
-        _beginning_with(ascending[0], order)
-        for order in _sequences(read)
+        _beginning_with(ascending[0], tuple(order))
+        for order in sequences
         if len(order) == len(ascending)
     )
     for order, _ in cycles.most_common(1):
@@ -240,17 +246,6 @@ def scan_order(positions: Sequence[int], parts: Mask) -> Mapping[int, int]:
         for rank, unusual in zip(ranks, UNUSUAL, strict=False)
     ]
     return ranks[int(np.argmin(costs))]
-
-
-def _sequences(read: Sequence[tuple[int, bool]]) -> Iterator[tuple[int, ...]]:
-    """Yield the positions of lines up to one that occurs again, or before which a part begins."""
-    sequence: list[int] = []
-    for position, new in read:
-        if new or position in sequence:
-            yield tuple(sequence)
-            sequence = []
-        sequence.append(position)
-    yield tuple(sequence)
 
 
 def _beginning_with(position: int, order: tuple[int, ...]) -> tuple[int, ...]:

@@ -3,7 +3,7 @@
 The unit is specified, named in the header, or the only one that values and scene permit.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -99,8 +99,23 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
         fits[unit] = MIN_USED <= share <= 1 - MIN_USED
     units = [unit for unit in allowed if fits[unit]]
+    certain = [unit for unit in units if in_steps[unit] is True]
+    if len(units) > 1 and len(certain) == 1:
+        return certain, "as such they lie on the converter's steps"
+    if len(units) > 1 and whole and "code" in units and not set(RESISTANCES) & set(units):
+        reason = f"whole numbers, within {lowest} to {top} of a {readout.adc_bits}-bit converter"
+        if "mV" in units and in_steps["mV"] is None:
+            reason += "; whole mV would look alike"
+        if middle == 0:
+            reason += "; most are 0, as of open cells or in pressures, which are no readings"
+        return ["code"], reason
     if len(units) > 1:
-        return _preferred(units, finite, in_steps, readout, counted=counted)
+        if counted or "code" not in units:
+            return units, ""
+        expected = "whole numbers"
+        if readout.readings > 1:
+            expected = f"means of {readout.readings} whole numbers"
+        return units, f" (codes would be {expected}, by the scene)"
     if units:
         reasons = {
             "code": f"within {lowest} to {top} of a {readout.adc_bits}-bit converter",
@@ -112,48 +127,6 @@ def _explaining(finite: Array, allowed: Sequence[str], readout: Readout) -> tupl
     if "ohm" in allowed and least <= middle <= most:
         return ["ohm"], "no other unit is within the converter's rails"
     return [], ""
-
-
-def _preferred(
-    units: Sequence[str],
-    finite: Array,
-    in_steps: Mapping[str, bool | None],
-    readout: Readout,
-    *,
-    counted: bool,
-) -> tuple[list[str], str]:
-    """Return those of several fitting units that explain the values best, and the reason.
-
-    Parameters
-    ----------
-    units : sequence of str
-        Units that fit.
-    finite : array
-        Values.
-    in_steps : mapping
-        Unit → whether the values lie on the converter's steps, or None.
-    readout : Readout
-    counted : bool
-        Whether the values may be codes or means of codes.
-    """
-    certain = [unit for unit in units if in_steps[unit] is True]
-    if len(certain) == 1:
-        return certain, "as such they lie on the converter's steps"
-    whole = bool(np.all(finite == np.round(finite)))
-    if whole and "code" in units and not set(RESISTANCES) & set(units):
-        lowest, top = readout.codes
-        reason = f"whole numbers, within {lowest} to {top} of a {readout.adc_bits}-bit converter"
-        if "mV" in units and in_steps["mV"] is None:
-            reason += "; whole mV would look alike"
-        if np.median(finite) == 0:
-            reason += "; most are 0, as of open cells or in pressures, which are no readings"
-        return ["code"], reason
-    if counted or "code" not in units:
-        return list(units), ""
-    expected = "whole numbers"
-    if readout.readings > 1:
-        expected = f"means of {readout.readings} whole numbers"
-    return list(units), f" (codes would be {expected}, by the scene)"
 
 
 def _without_readout(finite: Array, allowed: Sequence[str]) -> tuple[list[str], str]:

@@ -68,8 +68,8 @@ def live(
     out
         Record the board into this file as well.
     """
-    from lampest.apps.board.sample import LineOptions
-    from lampest.apps.live.run import LiveBoard, Outlets, Replay, chosen
+    from lampest.apps.board.sample import Listening
+    from lampest.apps.live.run import Outlets, Replay, chosen
     from lampest.apps.live.run import live as run_live
     from lampest.files.process import ending_signals
 
@@ -77,16 +77,15 @@ def live(
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
     if assign and config is None:
         raise InputError("--set: overrides entries of a run's file; name one with --config")
-    source: LiveBoard | Replay
+    source: Listening | Replay
     if recording is not None:
         source = Replay(recording, speed, baseline)
     else:
-        options = LineOptions(lines, baud, unit)
         agreed = screen.scene_of(scene, None)
-        source = LiveBoard(tuple(port or ()), agreed, baseline, period, out, options)
+        source = Listening(tuple(port or ()), agreed, baseline, period, lines, baud, unit)
     with ending_signals():  # every end of the command sends the board its command to stop
         estimators = chosen(estimator, config, tuple(assign or ()))
-        outlets = Outlets(http, token, publish or ())
+        outlets = Outlets(http, token, publish or (), out)
         done = run_live(source, estimators, outlets, count, _say_address, screen.warn, _say_note)
     if done is not None:
         report_recorded(done)

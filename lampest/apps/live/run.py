@@ -14,7 +14,7 @@ import numpy as np
 from lampest.apps.board.port import only_port
 from lampest.apps.board.record import Progress, Recorded, record
 from lampest.apps.board.recorder import Recorder
-from lampest.apps.board.sample import USUAL, LineOptions, Listening, Printing, Sample
+from lampest.apps.board.sample import Listening, Printing, Sample
 from lampest.apps.board.several import samples_of
 from lampest.apps.live.engine import Engine, FrameSource
 from lampest.apps.live.message import acknowledged
@@ -33,7 +33,6 @@ from lampest.estimate.estimator import Estimator, Tare
 from lampest.estimate.sequence import frame_period
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, counted, meant
-from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.runs.config import RunFile, resolve
 
@@ -52,39 +51,10 @@ METHODS = {
 
 
 @dataclass(frozen=True)
-class LiveBoard:
-    """A board as the source.
-
-    Attributes
-    ----------
-    ports : tuple of str
-        Serial ports or pyserial URLs, one for each module; by default the only port that looks like
-        an Arduino.
-    scene : Scene or None
-        Expected scene.
-    baseline : int
-        Number of unloaded frames at the beginning.
-    period : float or None
-        Seconds between frames.
-    out : Path or None
-        Recording to write as well.
-    options : LineOptions
-        How a port is read.
-    """
-
-    ports: tuple[str, ...] = ()
-    scene: Scene | None = None
-    baseline: int = 3
-    period: float | None = None
-    out: Path | None = None
-    options: LineOptions = USUAL
-
-
-@dataclass(frozen=True)
 class Replay:
     """A recording as the source, replayed at `speed` times its rate.
 
-    `baseline` as above if no frame is unloaded.
+    `baseline` as in `Listening` if no frame is unloaded.
     """
 
     path: Path
@@ -105,15 +75,18 @@ class Outlets:
         elsewhere.
     publish : sequence of str
         Addresses such as ``mqtt://localhost:1883/lampest``.
+    out : Path or None
+        Recording of the board to write as well.
     """
 
     http: str = "127.0.0.1:8137"
     token: str | None = None
     publish: Sequence[str] = ()
+    out: Path | None = None
 
 
 def live(
-    source: LiveBoard | Replay,
+    source: Listening | Replay,
     estimator: tuple[str, Estimator],
     outlets: Outlets = Outlets(),
     frames: int | None = None,
@@ -125,7 +98,7 @@ def live(
 
     Parameters
     ----------
-    source : LiveBoard or Replay
+    source : Listening or Replay
     estimator : (str, Estimator)
         Name and estimator, as returned by `chosen`.
     outlets : Outlets
@@ -151,21 +124,21 @@ def live(
     """
     name, method = estimator
     recording = Recording.load(source.path) if isinstance(source, Replay) else None
-    if isinstance(source, LiveBoard) and not source.ports:
+    if isinstance(source, Listening) and not source.ports:
         source = replace(source, ports=(only_port(),))
-    port = ", ".join(source.ports) if isinstance(source, LiveBoard) else ""
+    port = ", ".join(source.ports) if isinstance(source, Listening) else ""
     ways = [publish_at(where, outlets.token) for where in outlets.publish]
     title = port if recording is None else recording.name
     with (
         Engine(title, name, method, source.baseline, beside=True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
-        recorder_of(source, engine) as (recorder, actions),
+        recorder_of(source, engine, outlets.out) as (recorder, actions),
         serving(*address(outlets.http), engine.shown, outlets.token, actions) as server,
     ):
         for where in (server.url, *published):
             on_url(where)
         with _saying_how_it_ended(engine):
-            done = _pass_frames(engine, source, recording, recorder, frames, on_note)
+            done = _pass_frames(engine, source, recording, recorder or outlets.out, frames, on_note)
             engine.finish()
             if isinstance(source, Replay) and frames is None:
                 engine.say("the recording has ended")
@@ -186,20 +159,21 @@ def _saying_how_it_ended(engine: Engine) -> Iterator[None]:
 
 def _pass_frames(
     engine: Engine,
-    source: LiveBoard | Replay,
+    source: Listening | Replay,
     recording: Recording | None,
-    recorder: Recorder | None,
+    recorder: Recorder | Path | None,
     frames: int | None,
     on_note: Say,
 ) -> Recorded | None:
     """Pass `frames` frames, or all, of a replayed recording or of a board.
 
-    Return the recording if one was written.
+    Those of a board go to the recorder of the page's button, or into a file. Return the recording
+    if one was written.
     """
     if isinstance(source, Replay):
         assert recording is not None
         from_recording(engine, recording, source.speed, frames)
-    elif recorder is not None:
+    elif isinstance(recorder, Recorder):
         from_board(engine, source, frames, recorder.take, on_note)
         view = engine.shown.item
         on_note(
@@ -207,17 +181,18 @@ def _pass_frames(
             f"{view.skipped} not reconstructed because newer ones had come"
         )
     else:
-        return recorded_from_board(engine, source, frames)
+        assert recorder is not None
+        return recorded_from_board(engine, source, recorder, frames)
     return None
 
 
 @contextmanager
 def recorder_of(
-    source: LiveBoard | Replay, engine: Engine
+    source: Listening | Replay, engine: Engine, out: Path | None = None
 ) -> Iterator[tuple[Recorder | None, PageActions]]:
     """Yield the recorder of the page's button, or None, and the requests that the page may send."""
     actions = PageActions(engine.tare, lambda: engine.shown.change(acknowledged))
-    if isinstance(source, Replay) or source.out is not None:
+    if isinstance(source, Replay) or out is not None:
         yield None, actions
         return
 
@@ -264,7 +239,7 @@ def chosen(
 
 def from_board(
     engine: Engine,
-    board: LiveBoard,
+    board: Listening,
     frames: int | None,
     on_sample: Callable[[Sample], None],
     on_note: Say = lambda sentence: None,
@@ -276,10 +251,7 @@ def from_board(
     Raises InputError as `lampest.apps.board.stream.stream`.
     """
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
-    listening = Listening(
-        board.scene, board.period, engine.say, baseline=board.baseline, options=board.options
-    )
-    with closing(samples_of(board.ports, listening)) as samples:
+    with closing(samples_of(replace(board, on_state=engine.say))) as samples:
         for number, sample in enumerate(islice(chain.from_iterable(samples), frames)):
             if isinstance(sample.hello, Printing) and not number:
                 on_note(f"the board prints: {sample.hello.understood}")
@@ -287,12 +259,13 @@ def from_board(
             on_sample(sample)
 
 
-def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) -> Recorded:
-    """Record frames of a board into `board.out` and pass them to the engine.
+def recorded_from_board(
+    engine: Engine, board: Listening, out: Path, frames: int | None
+) -> Recorded:
+    """Record frames of a board into `out` and pass them to the engine.
 
     Raises InputError as `record`.
     """
-    assert board.out is not None
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
 
     def on_progress(progress: Progress) -> None:
@@ -301,16 +274,7 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
         if progress.state:
             engine.say(progress.state)
 
-    return record(
-        board.ports,
-        board.out,
-        frames=frames,
-        scene=board.scene,
-        baseline=board.baseline,
-        period=board.period,
-        on_progress=on_progress,
-        options=board.options,
-    )
+    return record(board, out, frames=frames, on_progress=on_progress)
 
 
 def take_sample(engine: Engine, sample: Sample) -> None:

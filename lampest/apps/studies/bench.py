@@ -1,6 +1,6 @@
 """Benchmark of solvers on simulated recordings; docs/studies/bench.py adds SciPy's solvers."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from itertools import product
@@ -11,7 +11,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from lampest.apps.studies import common, study
-from lampest.apps.studies.command_times import CommandTime, command_times
 from lampest.apps.studies.common import (
     MIN_GAP,
     Pushed,
@@ -25,13 +24,11 @@ from lampest.apps.studies.study import OnStep, column
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.sequence import first_stream
-from lampest.estimate.stream import Stream
 from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
-from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.recording.shapes import AnyShape, Rod
 from lampest.recording.simulation.measure import Unmodelled
@@ -116,8 +113,6 @@ class BenchFile(Configuration):
         Largest side for each solver.
     memory
         Sides of panels on which the peak memory of a fresh process is measured.
-    commands
-        Sides of square panels on which whole commands are measured, in fresh processes.
     """
 
     schema: Literal[1]
@@ -134,13 +129,12 @@ class BenchFile(Configuration):
     solver: Settings = Settings()
     limits: BenchLimits = BenchLimits()
     memory: tuple[int, ...] = ()
-    commands: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.sizes or not self.estimators:
             raise ValueError("sizes and estimators must hold at least one")
         common.check_sides(self.shapes, 2, common.MAX_SIDE)
-        check_range("a panel's side", (*self.memory, *self.commands), 2, common.MAX_SIDE)
+        check_range("a panel's side", self.memory, 2, common.MAX_SIDE)
         for rows, columns in self.shapes:
             if not self.solvers((rows, columns)):
                 raise ValueError(f"limits leave no solver for {rows} × {columns}")
@@ -245,11 +239,10 @@ class Bench(NamedTuple):
     settings: BenchFile
     frames: tuple[BenchFrame, ...]
     left_out: tuple[LeftOut, ...] = ()
-    commands: tuple[CommandTime, ...] = ()
 
 
 def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
-    """Measure commands, then solvers as far as the budget allows.
+    """Measure solvers as far as the budget allows.
 
     The first recordings of all panels come first, and small panels before large ones. `on_step`
     receives the numbers of finished and of all parts, and the name of the next one.
@@ -261,18 +254,12 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
         BenchPart(*part)
         for part in product(range(bench.recordings), bench.shapes, bench.estimators)
     ]
-    commands = list[CommandTime]()
-    steps = len(bench.commands) + len(parts)
-    for number, side in enumerate(bench.commands):
-        on_step(number, steps, f"{side} × {side} commands")
-        pair = bench.recording((side, side), 0), bench.recording((side, side), 1)
-        commands += command_times(pair, bench.repeats)
     simulated = lru_cache(maxsize=1)(bench.recording)
-    for number, part in enumerate(parts, len(bench.commands)):
+    for number, part in enumerate(parts):
         shape = part.shape
         method = part.method
         name = f"recording {part.recording + 1}"
-        on_step(number, steps, f"{shape[0]} × {shape[1]} {method}, {name}")
+        on_step(number, len(parts), f"{shape[0]} × {shape[1]} {method}, {name}")
         if part.expected_s(bench, frames) > end - perf_counter():
             missed.append((shape, method, name))
             continue
@@ -294,7 +281,7 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
                 for frame in part_frames
             ]
         frames += part_frames
-    return Bench(bench, tuple(frames), tuple(missed), tuple(commands))
+    return Bench(bench, tuple(frames), tuple(missed))
 
 
 def _frames(
@@ -315,7 +302,11 @@ def _frames(
     kind = "pair" if stream.estimator.joint_start else "first"
     for number, frame in enumerate(recording.measured_frames()):
         begin = perf_counter()
-        turns = _turns(streams, readings[frame], bench.repeats if number else 1)
+        turns = list[dict[str, Pushed]]()
+        for _ in range(bench.repeats if number else 1):
+            turns.append({name: pushed(each, readings[frame]) for name, each in streams.items()})
+            if sum(turn.seconds for turn in turns[-1].values()) > LONG_TURN_S:
+                break
         leader = min(turns[0].values(), key=attrgetter("objective"))
         # scale of the gap: φ_best + 1e-9 Σ R²
         size = leader.objective + 1e-9 * float(np.sum(readings[frame].value ** 2))
@@ -342,18 +333,6 @@ def _frames(
         }
         if perf_counter() - begin > end - perf_counter():
             return
-
-
-def _turns(
-    streams: Mapping[str, Stream], readings: Readings, repeats: int
-) -> list[dict[str, Pushed]]:
-    """Solve a frame by all solvers, several times in turn; once where that takes long."""
-    turns = list[dict[str, Pushed]]()
-    for _ in range(repeats):
-        turns.append({name: pushed(stream, readings) for name, stream in streams.items()})
-        if sum(turn.seconds for turn in turns[-1].values()) > LONG_TURN_S:
-            break
-    return turns
 
 
 ALL = "all"  # methods together
@@ -464,23 +443,11 @@ SCREEN: Columns = {
 }
 
 
-COMMANDS_CSV = ("command", "rows", "columns", "seconds", "solves_s", "libraries_s", "ratio")
-COMMANDS_SCREEN: Columns = {
-    "command": "{command}",
-    "panel": "{rows} × {columns}",
-    "processor s": "{seconds:.2f}",
-    "solves s": "{solves_s:.2f}",
-    "libraries s": "{libraries_s:.2f}",
-    "ratio": "{ratio:.3g}",
-}
-
-
 def sheets(bench: Bench) -> list[study.Sheet]:
     """Return the tables that are not empty."""
     rows = bench_rows(bench.frames)
     totals = [row for row in rows if row.method == ALL]
     ours = [row for row in rows if row.method != ALL and row.solver == "reduced"]
-    commands = [study.Row(**study.named_values(time, *COMMANDS_CSV)) for time in bench.commands]
 
     def without(*titles: str) -> Columns:
         return {title: of for title, of in SCREEN.items() if title not in titles}
@@ -489,7 +456,6 @@ def sheets(bench: Bench) -> list[study.Sheet]:
         ("solvers: all methods together", totals, without("method", "quartiles")),
         ("methods: the reduced solver", ours, without("solver")),
         ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
-        ("commands: whole, in fresh processes", commands, COMMANDS_SCREEN),
     ]
     return [sheet for sheet in titled if sheet[1]]
 
@@ -525,14 +491,7 @@ STUDY: study.Study[BenchFile, Bench] = study.Study(
     rows=lambda bench: bench_rows(bench.frames),
     sheets=sheets,
     form="bench/3",
-    records=lambda bench: [
-        study.RecordGroup(name, records, "seconds")
-        for name, records in (("frames", bench.frames), ("commands", bench.commands))
-        if records
-    ],
-    texts=lambda bench: (
-        {"growth.csv": study.csv_of(growth(bench_rows(bench.frames)), GROWTH)}
-        | ({"commands.csv": study.csv_of(bench.commands, COMMANDS_CSV)} if bench.commands else {})
-    ),
+    records=lambda bench: [study.RecordGroup("frames", bench.frames, "seconds")],
+    texts=lambda bench: {"growth.csv": study.csv_of(growth(bench_rows(bench.frames)), GROWTH)},
     remarks=bench_remarks,
 )

@@ -21,8 +21,8 @@ STUDIES = {
         """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced and nodal.
 
         Writes bench.csv (a row for every panel, method, solver and first, joint or later frames),
-        growth.csv, commands.csv (processor time of whole commands beside that of their solves),
-        bench.md and bench.h5 with every frame. Cases beyond the file's limits or budget are named.
+        growth.csv, bench.md and bench.h5 with every frame. Cases beyond the file's limits or
+        budget are named.
         """,
     ),
     "tradeoff": (

@@ -27,8 +27,6 @@ from lampest.apps.studies.certified import (
 from lampest.apps.studies.common import StudyMethod, paper_methods
 from lampest.apps.studies.extreme_scenes import CASES, GRID, AtlasSample, Grid, recording_of
 from lampest.apps.studies.study import OnStep, column
-from lampest.cost.cost import Cost
-from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream, frame_period
 from lampest.estimate.stream import Stream
@@ -39,7 +37,7 @@ from lampest.panel.readouts.floating import exact_two_point_resistance, two_poin
 from lampest.recording.recording import Recording
 from lampest.report.compare import Columns, grouped
 from lampest.runs.executors import AnyExecutor, Processes, each_of
-from lampest.solvers.solution import VERIFIED, Settings, Solution
+from lampest.solvers.solution import VERIFIED, Settings
 
 # Cells of a panel below which the nodal formulation solves a case, too.
 MAX_SPECIAL_CELLS = 100
@@ -239,7 +237,17 @@ def judged(
         figures = study.named_values(solution, "solved", "iterations")
         if solution.solved:
             cost = solved_by.cost(recording.scene, len(data.measured), partial=data.partial)
-            figures |= _audit(cost, data, solution, cells, audit_cells)
+            estimate = solution.cell_resistance
+            objective = exact_cost(cost, data, estimate)
+            best = exact_cost(cost, data, np.clip(cells, data.lower, data.upper))
+            is_small = estimate[0].size <= audit_cells
+            figures |= {
+                "audited": exact_residual(cost, data, estimate) if is_small else nan,
+                "excess": (objective - best) / exact_scale(cost, data, estimate),
+                "model_digits": correct_digits(
+                    solution.reading, exact_two_point_resistance(estimate)
+                ),
+            }
         yield Solve(
             **vars(sample),
             method=name,
@@ -249,20 +257,6 @@ def judged(
             residual=solution.kkt_residual,
             **figures,
         )
-
-
-def _audit(
-    cost: Cost, data: Data, solution: Solution, truth: Array, audit_cells: int
-) -> dict[str, float]:
-    """Return the figures of a solution by exact arithmetic, by their names in `Solve`."""
-    estimate = solution.cell_resistance
-    best = exact_cost(cost, data, np.clip(truth, data.lower, data.upper))
-    is_small = estimate[0].size <= audit_cells
-    return {
-        "audited": exact_residual(cost, data, estimate) if is_small else nan,
-        "excess": (exact_cost(cost, data, estimate) - best) / exact_scale(cost, data, estimate),
-        "model_digits": correct_digits(solution.reading, exact_two_point_resistance(estimate)),
-    }
 
 
 def _row(group: Sequence[Solve]) -> study.Row:

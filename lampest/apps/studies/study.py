@@ -160,21 +160,24 @@ class Study(Generic[Settings, Measured]):
         for name, text in texts.items():
             write_whole(folder / name, text)
         for path in data:
-            self._write_records(path, list(self.records(measured)))
+            groups = list(self.records(measured))
+            versions = library_versions("scipy").items()
+            with hdf5.new_file(path) as file:
+                hdf5.set_attributes(
+                    file, NX_class="NXroot", default="entry", lampest_format=self.form
+                )
+                entry = file.create_group("entry")
+                hdf5.set_attributes(
+                    entry,
+                    NX_class="NXentry",
+                    default=groups[0].path,
+                    **{f"{library}_version": text for library, text in versions},
+                )
+                for group in groups:
+                    group.write(entry)
         for path, figure in figures.items():
             save(figure, path)
         return Reported(tables, files, remarks, self.left_out(measured))
-
-    def _write_records(self, path: Path, groups: Sequence[RecordGroup]) -> None:
-        with hdf5.new_file(path) as file:
-            hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=self.form)
-            entry = file.create_group("entry")
-            versions = {
-                f"{library}_version": text for library, text in library_versions("scipy").items()
-            }
-            hdf5.set_attributes(entry, NX_class="NXentry", default=groups[0].path, **versions)
-            for group in groups:
-                group.write(entry)
 
 
 def page(name: str, tables: Sequence[tuple[str, Table]], remarks: Sequence[str]) -> str:

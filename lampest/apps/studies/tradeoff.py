@@ -8,7 +8,7 @@ by its second frame, given the reference's baseline.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from operator import attrgetter
@@ -539,33 +539,13 @@ def _draw(
     if not places[first]:
         axes.text(0.5, 0.5, "no truth", transform=axes.transAxes, ha="center", fontsize=TEXT_POINT)
         return
-    _draw_front(axes, places[first], rungs, first)
-    if min(value for _, value in places[first].values()) <= MIN_GAP:
-        axes.axhline(MIN_GAP, color="0.5", lw=0.6, ls=":")
-        axes.set_ylim(bottom=MIN_GAP / 30)
-    axes.margins(0.12, 0.14)
-
-
-def _draw_front(
-    axes: Axes, places: Mapping[str, tuple[float, float]], rungs: list[str], method: str
-) -> None:
-    """Draw the Pareto front of a method, and the number of each rung; those of the front filled.
-
-    Parameters
-    ----------
-    axes : Axes
-    places : mapping
-        Rung → time and value.
-    rungs : list of str
-        All rungs in the order of their numbers.
-    method : str
-    """
-    points = list(places.values())
-    best = [points[index] for index in front(points)]
-    times, values = zip(*best, strict=True)
-    axes.step(times, values, where="post", color="0.3", lw=0.9, label=f"{method}: Pareto front")
-    for rung, point in places.items():
-        fill, text = ("black", "white") if point in best else ("white", "black")
+    # The Pareto front, and the number of each rung; those of the front are filled.
+    points = list(places[first].values())
+    on_front = [points[index] for index in front(points)]
+    times, values = zip(*on_front, strict=True)
+    axes.step(times, values, where="post", color="0.3", lw=0.9, label=f"{first}: Pareto front")
+    for rung, point in places[first].items():
+        fill, text = ("black", "white") if point in on_front else ("white", "black")
         axes.plot(*point, "o", ms=8, mfc=fill, mec="black", mew=0.8, zorder=3)
         axes.annotate(
             str(rungs.index(rung) + 1),
@@ -576,6 +556,10 @@ def _draw_front(
             zorder=4,
             fontsize=SMALL_POINT - 1,
         )
+    if min(value for _, value in places[first].values()) <= MIN_GAP:
+        axes.axhline(MIN_GAP, color="0.5", lw=0.6, ls=":")
+        axes.set_ylim(bottom=MIN_GAP / 30)
+    axes.margins(0.12, 0.14)
 
 
 STUDY: study.Study[Plan, list[TradeoffFrame]] = study.Study(

@@ -18,6 +18,7 @@ from lampest.apps.board import port
 from lampest.apps.board.port import pressed_keys
 from lampest.apps.board.protocol import BAUD, message
 from lampest.apps.board.record import record
+from lampest.apps.board.sample import Listening
 from lampest.apps.board.source import opened_source
 
 README = (FIRMWARE / "README.md").read_text()
@@ -127,7 +128,9 @@ def test_a_board_keeps_the_shortest_period_of_the_table(
             asked.stop()
         known = scene(rows, columns, readings)
         summary = record(
-            board.port, tmp_path / "r.h5", frames=frames, scene=known, period=shortest / 1e6
+            Listening((board.port,), scene=known, period=shortest / 1e6),
+            tmp_path / "r.h5",
+            frames=frames,
         )
         figures = board.stop()
     recording = Recording.load(tmp_path / "r.h5")

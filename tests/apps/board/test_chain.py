@@ -25,7 +25,8 @@ from lampest import (
     two_point_resistance,
 )
 from lampest.apps.board.record import record
-from lampest.apps.live.run import LiveBoard, recorded_from_board
+from lampest.apps.board.sample import Listening
+from lampest.apps.live.run import recorded_from_board
 from lampest.estimate.sequence import reconstruct
 from tests.netlist import impedance_of
 
@@ -44,7 +45,9 @@ CODE_ERROR = 0.02  # relative, of readings of 10 bits
 def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -> None:
     cells = np.repeat(random_cells(np.random.default_rng(5), 1), 20, axis=0)
     with bench(tmp_path, cells) as board:
-        summary = record(board.port, tmp_path / "r.h5", frames=20, scene=scene(), baseline=12)
+        summary = record(
+            Listening((board.port,), scene=scene(), baseline=12), tmp_path / "r.h5", frames=20
+        )
     recording = Recording.load(summary.path)
     deviation = (recording.resistance - two_point_resistance(cells) - 140) / recording.sigma
     assert abs(deviation.mean()) < MEAN_ERROR
@@ -67,7 +70,11 @@ def test_a_slowly_settling_line_carries_the_previous_cell_into_the_reading(tmp_p
         with bench(
             tmp_path / str(settle_us), cells, "--noise-lsb", 0, "--settle-us", settle_us
         ) as board:
-            record(board.port, tmp_path / f"{settle_us}.h5", frames=2, scene=scene(2, 2, 1))
+            record(
+                Listening((board.port,), scene=scene(2, 2, 1)),
+                tmp_path / f"{settle_us}.h5",
+                frames=2,
+            )
         sums.append(Recording.load(tmp_path / f"{settle_us}.h5").raw_sums)
     first, late = (np.asarray(frame[1], dtype=float) for frame in sums)
     assert late[0, 1] > first[0, 1] + CARRIED_CODES
@@ -79,11 +86,9 @@ def test_a_file_names_clocks_numbers_and_events_of_its_frames(tmp_path: Path) ->
     presses = iter(["", "", "x", "", "ab"])
     with bench(tmp_path, cells) as board:
         record(
-            board.port,
+            Listening((board.port,), scene=scene(4, 3), period=0.5),
             tmp_path / "r.h5",
             frames=5,
-            scene=scene(4, 3),
-            period=0.5,
             keys=lambda: next(presses),
         )
     recording = Recording.load(tmp_path / "r.h5")
@@ -159,9 +164,9 @@ def test_live_readings_equal_those_of_the_file(tmp_path: Path, wiring: str) -> N
     truth[:, dead] = np.inf
     known = replace(known, faults=Faults(dead_rows=(3,)) if dead else None)
     with bench(tmp_path, truth, wiring=wiring) as board:
-        source = LiveBoard((board.port,), known, 1, None, out)
+        source = Listening((board.port,), known, 1)
         pictures = live_pictures(
-            estimator, 1, lambda engine: recorded_from_board(engine, source, 4)
+            estimator, 1, lambda engine: recorded_from_board(engine, source, out, 4)
         )
     cells = reconstruct(Recording.load(out), estimator)
     assert [picture.status for picture in pictures] == ["local optimum verified"] * 3
@@ -178,7 +183,7 @@ def test_live_readings_equal_those_of_the_file(tmp_path: Path, wiring: str) -> N
 @pytest.mark.parametrize("wiring", WIRINGS)
 def test_a_recording_without_a_scene_takes_that_of_the_board(tmp_path: Path, wiring: str) -> None:
     with bench(tmp_path, random_cells(np.random.default_rng(2), 1), wiring=wiring) as board:
-        summary = record(board.port, tmp_path / "r.h5", seconds=2)
+        summary = record(Listening((board.port,)), tmp_path / "r.h5", seconds=2)
     recording = Recording.load(tmp_path / "r.h5")
     known = scene(series_resistance_ohm=0) if wiring == "two_point" else loaded_scene()
     assert (
@@ -230,7 +235,9 @@ def test_noise_free_readings_of_any_size_are_exact_to_the_converter(
         volts = np.array([node_voltages(frame, drive, load) for frame in cells])
     with bench(tmp_path, cells, *options, wiring=wiring) as board:
         record(
-            board.port, tmp_path / "r.h5", frames=3, scene=WIRINGS[wiring](rows, columns, readings)
+            Listening((board.port,), scene=WIRINGS[wiring](rows, columns, readings)),
+            tmp_path / "r.h5",
+            frames=3,
         )
     recording = Recording.load(tmp_path / "r.h5")
     assert recording.raw_readings == readings

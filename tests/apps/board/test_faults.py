@@ -17,6 +17,7 @@ from lampest import InputError, Recording
 from lampest.apps.board.journal import repair
 from lampest.apps.board.protocol import Frame, Receiver
 from lampest.apps.board.record import Progress, record
+from lampest.apps.board.sample import Listening
 from tests.bodies import frame_body
 
 NOISE_OF_CODES = 0.02  # relative, of readings of 10 bits
@@ -57,10 +58,8 @@ def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(
     )
     with bench(tmp_path, cells, *hurt) as board:
         record(
-            board.port,
+            Listening((board.port,), scene=scene(readings=20), period=0.25),
             tmp_path / "r.h5",
-            scene=scene(readings=20),
-            period=0.25,
             seconds=0.25 * frames,
         )
     recording = Recording.load(tmp_path / "r.h5")
@@ -100,11 +99,9 @@ def test_unplugging_marks_a_gap_in_the_same_file(tmp_path: Path) -> None:
     states: list[Progress] = []
     with bench(tmp_path, cells, "--unplug", "3:5", "--no-reset-on-open") as board:
         summary = record(
-            board.port,
+            Listening((board.port,), scene=scene(), period=0.25),
             tmp_path / "r.h5",
             frames=60,
-            scene=scene(),
-            period=0.25,
             on_progress=states.append,
         )
     recording = Recording.load(tmp_path / "r.h5")
@@ -125,7 +122,9 @@ def test_a_reset_board_is_configured_and_started_again(tmp_path: Path) -> None:
         "5",
         "--no-reset-on-open",
     ) as board:
-        summary = record(board.port, tmp_path / "r.h5", frames=40, scene=scene(5, 5), period=0.25)
+        summary = record(
+            Listening((board.port,), scene=scene(5, 5), period=0.25), tmp_path / "r.h5", frames=40
+        )
     recording = Recording.load(tmp_path / "r.h5")
     assert (summary.frames, summary.restarts, recording.acquisition.session[-1]) == (40, 1, 1)
     assert recording.resistance.shape == (40, 5, 5)
@@ -147,6 +146,6 @@ def test_a_running_recording_can_be_read_but_not_repaired(tmp_path: Path) -> Non
                 repair(out)
 
     with bench(tmp_path, random_cells(np.random.default_rng(9), 1)) as board:
-        record(board.port, out, frames=8, on_progress=look)
+        record(Listening((board.port,)), out, frames=8, on_progress=look)
     assert frame_counts[0] >= 5
     assert len(Recording.load(out).time) == 8

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from printing_board import (
 
 from lampest import Array, InputError, LoadedColumnsReadout, Panel, Recording, Scene, import_file
 from lampest.apps.board.record import Recorded, record
-from lampest.apps.board.sample import TOO_FAST, LineOptions
+from lampest.apps.board.sample import TOO_FAST, Listening
 from lampest.files.document import to_yaml
 from lampest.panel.panel import EachModule, Modules
 
@@ -34,7 +35,7 @@ SHAPE = (4, 5)
 SCENE = Scene(Panel(*SHAPE), LoadedColumnsReadout(adc_bits=10, readings=1, noise_lsb=1.0))
 FRAMES = 14
 CODES = mat_codes(FRAMES, SHAPE)
-LINES = LineOptions(lines=True)
+LINES = Listening(lines=True)
 ARRIVAL_S = 0.05  # by which an arrival may be late on a busy machine, relative to 0.02 s a frame
 
 Ports = Callable[[list[bytes]], AbstractContextManager[str]]
@@ -57,11 +58,10 @@ def recorded(
     url: str,
     path: Path,
     frames: int | None = FRAMES - 1,
-    options: LineOptions = LINES,
-    **limits: float,
+    how: Listening = LINES,
 ) -> tuple[Recorded, Recording]:
     """Record a port, and return the summary and the recording."""
-    summary = record(url, path, frames=frames, scene=SCENE, baseline=2, options=options, **limits)
+    summary = record(replace(how, ports=(url,), scene=SCENE, baseline=2), path, frames=frames)
     return summary, Recording.load(path)
 
 
@@ -107,7 +107,7 @@ def test_every_kind_of_port_gives_the_same_codes(kind: str, tmp_path: Path) -> N
 def test_numbers_are_read_where_no_lampest_board_answers(tmp_path: Path) -> None:
     parts = printed(frame_with_millis, mat_codes(60, SHAPE))
     with on_terminal(parts) as url:
-        _, recording = recorded(url, tmp_path / "r.h5", 30, LineOptions())
+        _, recording = recorded(url, tmp_path / "r.h5", 30, Listening())
     np.testing.assert_array_equal(codes_of(recording)[0], mat_codes(60, SHAPE)[0])
 
 
@@ -116,7 +116,7 @@ def test_a_socket_that_closes_before_lampest_has_asked_loses_no_frame(
 ) -> None:
     monkeypatch.setattr("lampest.apps.board.port.SILENCE_SECONDS", 5.0)
     with on_socket(printed(frame_with_millis, CODES), period=0.001) as url:
-        _, recording = recorded(url, tmp_path / "r.h5", FRAMES - 1, LineOptions())
+        _, recording = recorded(url, tmp_path / "r.h5", FRAMES - 1, Listening())
     np.testing.assert_array_equal(codes_of(recording), CODES[: FRAMES - 1])
 
 
@@ -130,7 +130,7 @@ def test_times_are_arrivals_where_the_board_sends_none(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_period_replaces_arrivals(tmp_path: Path) -> None:
     with on_terminal(printed(rows_and_a_blank_line, CODES)) as url:
-        _, recording = recorded(url, tmp_path / "r.h5", period=0.25)
+        _, recording = recorded(url, tmp_path / "r.h5", how=replace(LINES, period=0.25))
     np.testing.assert_allclose(np.diff(recording.time), 0.25)
 
 
@@ -173,7 +173,7 @@ def test_a_board_that_prints_needs_a_scene(tmp_path: Path) -> None:
         on_terminal(printed(frame_with_millis, CODES)) as url,
         pytest.raises(InputError, match=r"prints '\d.*--scene says the rows, columns and circuit"),
     ):
-        record(url, tmp_path / "r.h5", frames=2, options=LINES)
+        record(Listening((url,), lines=True), tmp_path / "r.h5", frames=2)
 
 
 @pytest.mark.slow
@@ -182,9 +182,9 @@ def test_a_line_at_another_rate_is_said(tmp_path: Path) -> None:
     noise = np.random.default_rng(1).integers(128, 255, (200, 60), np.uint8)
     with on_terminal([row.tobytes() for row in noise]) as url:
         for baud, words in ((None, r"at any usual rate; --baud N"), (9_600, "at 9600 baud")):
-            options = LineOptions(lines=True, baud=baud)
+            how = replace(LINES, baud=baud)
             with pytest.raises(InputError, match=f"is no text {words}"):
-                recorded(url, tmp_path / "r.h5", options=options)
+                recorded(url, tmp_path / "r.h5", how=how)
     assert not (tmp_path / "r.h5").exists()
 
 
@@ -220,7 +220,9 @@ def test_panels_in_one_line_are_modules_of_one_image(tmp_path: Path, form: str) 
     log.write_text("".join(f"{line(frame)}\n" for frame in both))
     imported, _ = import_file(log, scene=scene, unit="code", baseline_frames=2, period=0.04)
     with on_socket([f"{line(frame)}\r\n".encode() for frame in both]) as url:
-        done = record([url], tmp_path / "r.h5", frames=8, scene=scene, baseline=2, options=LINES)
+        done = record(
+            Listening((url,), scene=scene, baseline=2, lines=True), tmp_path / "r.h5", frames=8
+        )
     assert "2 parts of a line are the modules" in done.understood
     images = np.concatenate(np.moveaxis(both, 1, 0), axis=2)
     np.testing.assert_array_equal(codes_of(imported), images)
@@ -236,7 +238,11 @@ def test_modules_that_print_are_one_image(tmp_path: Path) -> None:
         on_terminal(printed(frame_with_millis, both[0])) as left,
         on_terminal(printed(frame_with_millis, both[1])) as right,
     ):
-        record([left, right], tmp_path / "r.h5", frames=8, scene=scene, baseline=2, options=LINES)
+        record(
+            Listening((left, right), scene=scene, baseline=2, lines=True),
+            tmp_path / "r.h5",
+            frames=8,
+        )
     codes = codes_of(Recording.load(tmp_path / "r.h5"))
     assert codes.shape == (8, 4, 10)
     for frame in codes:

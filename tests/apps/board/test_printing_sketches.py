@@ -8,7 +8,7 @@ from apps.board.bench import FIRMWARE, bench, random_cells
 
 from lampest import Recording, read_scene
 from lampest.apps.board.record import record
-from lampest.apps.board.sample import LineOptions
+from lampest.apps.board.sample import Listening
 
 SKETCHES = sorted((FIRMWARE / "printing_boards").glob("*/*.ino"))
 FRAMES = 4
@@ -29,9 +29,12 @@ def test_the_arduino_prints_what_its_scene_says(tmp_path: Path) -> None:
     """Recorded from the simulated chip, the codes are those of the scene's circuit."""
     scene = read_scene(SKETCHES[0].with_name("scene.yaml"))
     cells = random_cells(np.random.default_rng(3), 1, *scene.panel.shape)
-    options = LineOptions(lines=True, baud=115_200)
     with bench(tmp_path, cells, wiring="loaded_columns", sketch="arduino_rows") as board:
-        summary = record(board.port, tmp_path / "r.h5", frames=FRAMES, scene=scene, options=options)
+        summary = record(
+            Listening((board.port,), scene=scene, lines=True, baud=115_200),
+            tmp_path / "r.h5",
+            frames=FRAMES,
+        )
     recording = Recording.load(tmp_path / "r.h5")
     assert scene.readout is not None and "time: the board's" in summary.understood
     codes = scene.readout.steps_from_volt(recording.recorded)

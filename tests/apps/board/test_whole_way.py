@@ -18,7 +18,8 @@ from support import live_pictures
 from lampest import Estimator, LogGradient, LogRatio, Misfit, Recording, Squared, reconstruct
 from lampest.apps.board.own_estimate import difference_sentence
 from lampest.apps.board.record import record
-from lampest.apps.live.run import LiveBoard, from_recording, recorded_from_board
+from lampest.apps.board.sample import Listening
+from lampest.apps.live.run import from_recording, recorded_from_board
 from lampest.apps.microcontroller.constants import Constants
 from lampest.apps.microcontroller.header import header
 from lampest.apps.microcontroller.host import compiled
@@ -64,7 +65,9 @@ def recorded(exported, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded")
     with portable_bench(folder, exported[0], CELLS) as board:
         summary = record(
-            board.port, folder / "r.h5", frames=FRAMES, scene=SCENE, baseline=UNLOADED_FRAMES
+            Listening((board.port,), scene=SCENE, baseline=UNLOADED_FRAMES),
+            folder / "r.h5",
+            frames=FRAMES,
         )
     assert summary.lost == 0
     return folder / "r.h5"
@@ -123,10 +126,12 @@ def test_info_does_not_compare_without_unloaded_frames(recorded: Path, tmp_path:
 
 def test_live_shows_the_map_of_the_board_next_to_its_own(exported, tmp_path: Path) -> None:
     with portable_bench(tmp_path, exported[0], CELLS) as board:
-        source = LiveBoard((board.port,), SCENE, UNLOADED_FRAMES, out=tmp_path / "r.h5")
+        source = Listening((board.port,), SCENE, UNLOADED_FRAMES)
         method = Estimator((Misfit(weighting="noise"), LogGradient()), "reduced")
         shown = live_pictures(
-            method, UNLOADED_FRAMES, lambda engine: recorded_from_board(engine, source, FRAMES)
+            method,
+            UNLOADED_FRAMES,
+            lambda engine: recorded_from_board(engine, source, tmp_path / "r.h5", FRAMES),
         )
     assert len(shown) == FRAMES - UNLOADED_FRAMES
     for picture, change in zip(shown, CHANGE[UNLOADED_FRAMES:], strict=True):
@@ -176,7 +181,9 @@ def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None
     cells[:UNLOADED_FRAMES] = CELLS[0]
     with portable_bench(tmp_path, exported[0], cells, "--flip", 1e-3, "--seed", 3) as board:
         summary = record(
-            board.port, tmp_path / "r.h5", frames=50, scene=SCENE, baseline=UNLOADED_FRAMES
+            Listening((board.port,), scene=SCENE, baseline=UNLOADED_FRAMES),
+            tmp_path / "r.h5",
+            frames=50,
         )
         assert board.stop()["flipped"] > 5
     recording = Recording.load(tmp_path / "r.h5")
@@ -195,10 +202,10 @@ def test_boards_without_an_estimate_record_as_usual(exported, tmp_path: Path) ->
     """
     (tmp_path / "mega").mkdir()
     with bench(tmp_path / "mega", CELLS[:1]) as board:
-        record(board.port, tmp_path / "mega.h5", frames=2, scene=SCENE, baseline=1)
+        record(Listening((board.port,), scene=SCENE, baseline=1), tmp_path / "mega.h5", frames=2)
     small = scene(6, 4)
     with portable_bench(tmp_path, exported[0], CELLS[:1, :, :4]) as board:
-        record(board.port, tmp_path / "small.h5", frames=2, scene=small, baseline=1)
+        record(Listening((board.port,), scene=small, baseline=1), tmp_path / "small.h5", frames=2)
     for name in ("mega", "small"):
         assert Recording.load(tmp_path / f"{name}.h5").board_log_change is None
         with h5py.File(tmp_path / f"{name}.h5") as file:

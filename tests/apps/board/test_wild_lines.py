@@ -119,7 +119,7 @@ def flooded(hello: Hello) -> Sent:
 
 def recorded(script: Script, folder: Path, **limits: Any) -> Recorded:
     with wild_board(script) as board:
-        return record(board.port, folder / "r.h5", period=0.01, **limits)
+        return record(Listening((board.port,), period=0.01), folder / "r.h5", **limits)
 
 
 def silent(frames: int) -> Script:
@@ -346,7 +346,7 @@ def test_frames_of_another_board_on_the_line_are_left_out_with_a_warning(
             yield 0.0, wire(hello, number, identity=16 - first)
 
     with wild_board(both, identity=7) as board:
-        summary = record(board.port, tmp_path / "r.h5", period=0.01, frames=40)
+        summary = record(Listening((board.port,), period=0.01), tmp_path / "r.h5", frames=40)
     recording = Recording.load(tmp_path / "r.h5")
     assert np.all(recording.raw_sums == 707) and (summary.frames, summary.lost) == (40, 0)
     assert recording.acquisition.sequence.tolist() == list(range(40))
@@ -426,7 +426,7 @@ def test_an_impossible_hello_is_refused_with_a_sentence(tmp_path: Path) -> None:
         wild_board(hundred_a_second, greetings[0]) as board,
         pytest.raises(InputError, match=r"rows is 0; .* possible \(firmware pins\.h\)"),
     ):
-        record(board.port, tmp_path / "r.h5", frames=3)
+        record(Listening((board.port,)), tmp_path / "r.h5", frames=3)
     assert not list(tmp_path.iterdir())
 
 
@@ -440,7 +440,9 @@ def test_an_interrupted_recording_leaves_a_clean_file(
             os.kill(os.getpid(), number)
 
     with wild_board(hundred_a_second) as board:
-        summary = record(board.port, tmp_path / "r.h5", period=0.01, on_progress=interrupt)
+        summary = record(
+            Listening((board.port,), period=0.01), tmp_path / "r.h5", on_progress=interrupt
+        )
     assert summary.ended_by == number.name and summary.frames >= 6
     assert len(Recording.load(tmp_path / "r.h5").time) == summary.frames
     assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
@@ -499,7 +501,7 @@ def test_the_error_names_a_port_without_a_board(
 ) -> None:
     monkeypatch.setattr("lampest.apps.board.port.HELLO_SECONDS", 0.5)
     with pytest.raises(InputError, match="no lampest board answered"):
-        record("loop://", tmp_path / "r.h5", frames=1)
+        record(Listening(("loop://",)), tmp_path / "r.h5", frames=1)
 
 
 def test_ports_and_modules_must_have_equal_numbers() -> None:
@@ -515,7 +517,7 @@ def test_ports_and_modules_must_have_equal_numbers() -> None:
         ),
     ):
         with pytest.raises(InputError, match=words):
-            samples_of(ports, Listening(scene))
+            samples_of(Listening(tuple(ports), scene))
 
 
 def sent(number: int, at: float, arrived: float | None = None) -> Sample:
@@ -644,8 +646,14 @@ def image_of(
     monkeypatch.setattr(several, "board_samples", samples)
     monkeypatch.setattr(several, "monotonic", lambda: 0.0)
     monkeypatch.setattr(several, "RETRY_SECONDS", 0.0)
-    listening = Listening(SCENE, PERIOD, states.append, lambda: len(silent) == len(boards))
-    batches = samples_of([*boards], listening)
+    listening = Listening(
+        (*boards,),
+        SCENE,
+        period=PERIOD,
+        on_state=states.append,
+        ending=lambda: len(silent) == len(boards),
+    )
+    batches = samples_of(listening)
     return [sample for batch in batches for sample in batch], states
 
 
@@ -779,8 +787,8 @@ def test_a_recording_summary_counts_its_events(
         samples[number] = replace(samples[number], **change)
     calls: list[Any] = []
 
-    def arriving(urls: object, how: Listening) -> Samples:
-        calls.append((urls, how.scene, how.period, how.ending(), how.baseline))
+    def arriving(how: Listening) -> Samples:
+        calls.append((how.ports, how.scene, how.period, how.ending(), how.baseline))
         yield tuple(samples[:2])
         how.on_state("the board does not answer")
         how.on_state("the board is gone")
@@ -791,16 +799,15 @@ def test_a_recording_summary_counts_its_events(
     monkeypatch.setattr("lampest.apps.board.record.samples_of", arriving)
     steps: list[tuple[int, int, str]] = []
     for name, ports, limits in (
-        ("a", "p", {"seconds": 2.0}),
-        ("b", ["p", "q"], {"frames": 5}),
-        ("c", None, {}),
+        ("a", ("p",), {"seconds": 2.0}),
+        ("b", ("p", "q"), {"frames": 5}),
+        ("c", (), {}),
     ):
         del steps[:]
         limits |= {
-            "period": 0.1,
             "on_progress": lambda at: steps.append((at.frames, at.lost, at.state)),
         }
-        summary = record(ports, tmp_path / name, **limits)
+        summary = record(Listening(ports, period=0.1), tmp_path / name, **limits)
         assert (summary.frames, summary.lost, summary.restarts) == (5, 2, 3)
         assert (summary.count[CLOCK_JUMPED], summary.count[CLOCK_STOPPED]) == (1, 1)
         assert (summary.count["parted"], summary.count["behind"]) == (1, 0)
@@ -818,7 +825,7 @@ def test_a_recording_summary_counts_its_events(
         assert recording.role.tolist() == [MEASURED] * 5 and recording.acquisition is not None
         assert recording.acquisition.event_label == ("clock jump", "clock stopped")
         np.testing.assert_allclose(recording.acquisition.event_time, recording.time[[2, 3]])
-    assert calls == [(urls, None, 0.1, False, 0) for urls in (("p",), ["p", "q"], ())]
+    assert calls == [(urls, None, 0.1, False, 0) for urls in (("p",), ("p", "q"), ())]
 
 
 def batches_of(*sizes: int) -> Samples:

@@ -22,7 +22,7 @@ from docs.studies.long_lives import live_figures, stream_figures
 from lampest import Arrival, InputError, Misfit, Rod, Scene, two_point_resistance
 from lampest.apps.board import record as record_module
 from lampest.apps.board.protocol import Frame
-from lampest.apps.board.sample import Sample
+from lampest.apps.board.sample import Listening, Sample
 from lampest.apps.board.stream import scene_of
 from lampest.apps.film.pressure import Pressure, total_force
 from lampest.apps.live import engine as engine_module
@@ -32,7 +32,6 @@ from lampest.apps.live.handover import NICENESS, Beside, Errand
 from lampest.apps.live.message import Picture, View, view_text
 from lampest.apps.live.run import (
     METHODS,
-    LiveBoard,
     chosen,
     from_board,
     from_recording,
@@ -363,7 +362,7 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(
     for module in (run_module, record_module):
         monkeypatch.setattr(module, "samples_of", arriving)
     monkeypatch.chdir(tmp_path)
-    board = LiveBoard(("port",), None, 2)
+    board = Listening(("port",), None, 2)
     with Engine("port", "LSM", LSM, 2) as engine, recorder_of(board, engine) as (recorder, actions):
         assert (
             recorder is not None
@@ -377,10 +376,13 @@ def test_frames_of_a_board_reach_the_engine_and_the_recording(
         assert engine._zero_asked.is_set() and recorder._zeroed.is_set()
         engine.finish()
         button = engine.shown.item
-    out = dataclasses.replace(board, out=tmp_path / "two.h5")
-    with Engine("port", "LSM", LSM, 2) as engine, recorder_of(out, engine) as (recorder, actions):
+    out = tmp_path / "two.h5"
+    with (
+        Engine("port", "LSM", LSM, 2) as engine,
+        recorder_of(board, engine, out) as (recorder, actions),
+    ):
         assert recorder is None and actions.record is None
-        assert recorded_from_board(engine, out, 3).frames == 3
+        assert recorded_from_board(engine, board, out, 3).frames == 3
         engine.finish()
         written = engine.shown.item
     for view, name in ((button, "one"), (written, "two")):

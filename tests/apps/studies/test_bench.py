@@ -12,6 +12,8 @@ import pytest
 
 from docs.studies.bench import SolverLimits, SolversFile, Trf, _Point
 from docs.studies.bench_pages import MARKED, PAGES, sections, with_tables
+from docs.studies.command_times import STUDY as COMMANDS
+from docs.studies.command_times import CommandTime
 from docs.studies.mats import OURS, PUBLISHED, Mats, solved_mats, table
 from lampest import Huber, InputError, Misfit, Panel, Settings
 from lampest.apps.studies.bench import (
@@ -25,7 +27,6 @@ from lampest.apps.studies.bench import (
     run_bench,
     sheets,
 )
-from lampest.apps.studies.command_times import CommandTime
 from lampest.apps.studies.common import StudyMethod, paper_methods
 from lampest.apps.studies.study import page, read_settings
 from lampest.cost.cost import Cost
@@ -129,9 +130,12 @@ def test_pages_show_tables_that_the_bench_writes() -> None:
     two_sizes = Bench(
         read_bench(ROOT / "configs" / "bench.yaml"),
         (*timed(32, [1.0, 1.0]), *timed(64, [1.0, 1.0])),
-        commands=(CommandTime("run", 10, 10, 3.0, 1.5, 0.5),),
     )
-    tables = [(title, screen_table(rows, columns)) for title, rows, columns in sheets(two_sizes)]
+    commands = [CommandTime("run", 10, 10, 3.0, 1.5, 0.5)]
+    tables = [
+        (title, screen_table(rows, columns))
+        for title, rows, columns in (*sheets(two_sizes), *COMMANDS.sheets(commands))
+    ]
     written = sections(page(STUDY.name, tables, bench_remarks(two_sizes)))
     assert all(
         text.startswith("- " if name == "remarks" else "| ") for name, text in written.items()

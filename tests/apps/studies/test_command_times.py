@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from docs.studies import command_times
+from docs.studies.command_times import COMMANDS, CommandsFile, processor_seconds
 from lampest import InputError, read_results
-from lampest.apps.studies import command_times
 from lampest.apps.studies.bench import BenchFile
-from lampest.apps.studies.command_times import COMMANDS, processor_seconds
 
 # A command whose child works for half a second of processor time.
 BUSY = """
@@ -76,4 +76,4 @@ def test_every_command_is_measured_next_to_the_solves_of_the_run(
 
 def test_a_panel_of_commands_has_a_side() -> None:
     with pytest.raises(ValueError, match="a panel's side"):
-        BenchFile(1, (3,), commands=(1,))
+        CommandsFile(1, (3,), commands=(1,))

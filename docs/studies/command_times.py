@@ -1,13 +1,15 @@
 """Processor time of whole commands in fresh processes, and that of importing their libraries.
 
-The other tables of the benchmark time solvers. A user waits for commands, which load libraries,
-prepare recordings, check circuits, write files and draw pictures, too.
+Run it with: python -m docs.studies.command_times [CONFIG] [--out DIR] [--set PATH=VALUE]
+
+The benchmark times solvers. A user waits for commands, which load libraries, prepare recordings,
+check circuits, write files and draw pictures, too.
 """
 
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
@@ -15,10 +17,15 @@ from tempfile import TemporaryDirectory, TemporaryFile
 
 import numpy as np
 
-from lampest.apps.studies.study import column
+from docs.studies import script
+from lampest.apps.studies import common, study
+from lampest.apps.studies.bench import BenchFile
+from lampest.apps.studies.study import OnStep, column
 from lampest.files.errors import InputError
+from lampest.files.typed import check_range
 from lampest.panel.scene_file import scene_text
 from lampest.recording.recording import UNLOADED, Recording
+from lampest.report.compare import Columns
 from lampest.runs.checks import BESIDE
 from lampest.runs.results import read_results
 
@@ -164,3 +171,64 @@ def _table_of(recording: Recording) -> str:
             f"{time:g},{row},{column},{value:.9g}" for (row, column), value in np.ndenumerate(frame)
         ]
     return "\n".join(lines) + "\n"
+
+
+COMMANDS_CSV = ("command", "rows", "columns", "seconds", "solves_s", "libraries_s", "ratio")
+COMMANDS_SCREEN: Columns = {
+    "command": "{command}",
+    "panel": "{rows} × {columns}",
+    "processor s": "{seconds:.2f}",
+    "solves s": "{solves_s:.2f}",
+    "libraries s": "{libraries_s:.2f}",
+    "ratio": "{ratio:.3g}",
+}
+
+
+@dataclass(frozen=True)
+class CommandsFile(BenchFile):
+    """Settings of the measurement: those of a benchmark, whose recordings the commands take.
+
+    Attributes
+    ----------
+    commands
+        Sides of square panels.
+    """
+
+    commands: tuple[int, ...] = (10,)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.commands:
+            raise ValueError("commands must hold at least one")
+        check_range("a panel's side", self.commands, 2, common.MAX_SIDE)
+
+
+def measured(file: CommandsFile, on_step: OnStep) -> list[CommandTime]:
+    """Measure the commands on every panel; `on_step` as in `run_bench`."""
+    times = list[CommandTime]()
+    for number, side in enumerate(file.commands):
+        on_step(number, len(file.commands), f"{side} × {side} commands")
+        pair = file.recording((side, side), 0), file.recording((side, side), 1)
+        times += command_times(pair, file.repeats)
+    return times
+
+
+def rows(times: Sequence[CommandTime]) -> list[study.Row]:
+    """Return the rows of the table."""
+    return [study.Row(**study.named_values(time, *COMMANDS_CSV)) for time in times]
+
+
+STUDY: study.Study[CommandsFile, list[CommandTime]] = study.Study(
+    "commands",
+    "panels",
+    "bench_commands.yaml",
+    study.read_settings(CommandsFile),
+    measured,
+    rows=rows,
+    sheets=lambda times: [("commands: whole, in fresh processes", rows(times), COMMANDS_SCREEN)],
+    form="commands/1",
+    records=lambda times: [study.RecordGroup("commands", times, "seconds")],
+)
+
+if __name__ == "__main__":
+    script.main(lambda options: STUDY, script.parser_of(__doc__))
