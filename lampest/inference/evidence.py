@@ -17,7 +17,7 @@ Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The Amer
 33, 1979; Madras & Slade, The Self-Avoiding Walk, 1993 (number of outlines of a length).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -25,6 +25,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.linalg import solve_triangular
 
 from lampest.inference.number import mean_cost
 from lampest.panel.panel import Array, Mask, Numbers
@@ -138,12 +139,24 @@ class Changes:
         changed : boolean array, shape (n,)
             Cells within the outline.
         """
-
-        def cost(field: Array) -> float:
-            return sum(misfit_and_volume(self.covariance + field, self.change))
-
-        evidence, _ = Field.within(place, changed).evidence(cost)
+        covariances = map(Field.of(place[changed]).covariance, EVERY_SIZE)
+        evidence = mean_cost(self.costs_with(changed, covariances))
         return OUTLINE_COST * outline(place, changed) + evidence
+
+    def costs_with(self, cells: Mask, covariances: Iterable[Array]) -> Array:
+        """Return −2 ln density with further changes of some cells, for each covariance of these.
+
+        They change the second factor alone of p(d) = p(d_others) p(d_cells | d_others).
+        """
+        covariance = self.covariance
+        root = np.linalg.cholesky(covariance[np.ix_(~cells, ~cells)])
+        of_others = np.column_stack([self.change, covariance[:, cells]])[~cells]
+        known, across = np.split(solve_triangular(root, of_others, lower=True), [1], axis=1)
+        change = self.change[cells] - across.T @ known[:, 0]
+        noise = covariance[np.ix_(cells, cells)] - across.T @ across
+        costs = [sum(misfit_and_volume(noise + each, change)) for each in covariances]
+        others = np.sum(known**2) + 2 * np.log(root.diagonal()).sum()
+        return np.asarray(others + np.array(costs))
 
     def outlines(self, place: Numbers, moved: Mask) -> list[Mask]:
         """Return outlines that a load may have: that of the moved cells, and one about its core.
@@ -187,18 +200,20 @@ class Changes:
             beside = replace(self, noise=self.noise + np.diag(loaded**2))
             further = beside.selected([np.zeros_like(core)])[1]
             single = np.where(further, 1.0, loaded)
+            cells = single > 0
             cost = MOVED_COST * int((core | further).sum()) + 2 * float(np.log(len(TAILS)))
-            loads.append(Load(cost, np.diag(single**2), smooth=False))
+            loads.append(Load(cost, cells, [np.diag(single[cells] ** 2)], smooth=False))
         for changed in (around, np.ones_like(core)):
-            field = Field.within(place, changed)
             cost = OUTLINE_COST * outline(place, changed) + 2 * float(np.log(len(EVERY_SIZE)))
-            loads += [Load(cost, field.covariance(sizes), smooth=True) for sizes in EVERY_SIZE]
+            covariances = [*map(Field.of(place[changed]).covariance, EVERY_SIZE)]
+            loads.append(Load(cost, changed, covariances, smooth=True))
         return loads
 
-    def cost_of(self, load: "Load") -> float:
-        """Return −2 ln density of the changes and a load, up to a constant."""
-        covariance = self.covariance + load.covariance
-        return load.cost + sum(misfit_and_volume(covariance, self.change))
+    def with_load(self, cells: Mask, covariance: Array) -> "Changes":
+        """Return the changes with further ones of these cells, as noise."""
+        noise = self.noise.copy()
+        noise[np.ix_(cells, cells)] += covariance
+        return replace(self, noise=noise)
 
     def part(self, cells: Mask) -> "Changes":
         """Return the changes of these cells alone."""
@@ -232,20 +247,6 @@ def places_of(shape: tuple[int, ...]) -> Numbers:
     return np.argwhere(np.ones(shape, dtype=bool))
 
 
-def smooth_covariance(place: Numbers, cells: float) -> Array:
-    """Return the covariance exp(−distance²/(2 ℓ²)) of smooth changes, (n, n).
-
-    Parameters
-    ----------
-    place : integer array, shape (n, 2)
-        Row and column of each cell.
-    cells : float
-        ℓ.
-    """
-    square = ((place[:, None] - place) ** 2).sum(axis=-1)
-    return np.asarray(np.exp(-square / (2 * cells**2)))
-
-
 class FieldSizes(NamedTuple):
     """Sizes of a smooth field, as numbers of those that are tried.
 
@@ -265,34 +266,37 @@ EVERY_SIZE = [FieldSizes(*each) for each in product(*map(range, map(len, TRIED_S
 
 
 class Load(NamedTuple):
-    """A load that may have made the changes of cells.
+    """Equally probable loads that may have made the changes of cells.
 
     Attributes
     ----------
     cost : float
-        −2 ln of its prior probability, up to a constant.
-    covariance : array, shape (n, n)
-        Covariance of the changes that it makes.
+        −2 ln of the prior probability of each, up to a constant.
+    cells : boolean array, shape (n,)
+        Cells that they change.
+    covariances : list of array, shape (cells, cells)
+        Covariance of the changes of these cells by each.
     smooth : bool
         Whether it is a smooth field, and not single cells.
     """
 
     cost: float
-    covariance: Array
+    cells: Mask
+    covariances: list[Array]
     smooth: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """Changes that are a smooth field within an outline, N(0, s² ((1 − o) S + o)).
+    """Changes of the cells within an outline that are a smooth field, N(0, s² ((1 − o) S + o)).
 
     All FIELD_DEVIATIONS s, FIELD_CELLS ℓ of S and shares OWN_SHARES o of a cell's own are equally
-    probable. Cells outside do not change.
+    probable.
 
     Attributes
     ----------
     smooth : array, shape (distances, n, n)
-        S of each distance ℓ.
+        S of each distance ℓ: exp(−distance²/(2 ℓ²)) of two cells.
     own : array, shape (n, n)
         Covariance of changes of each cell's own.
     """
@@ -301,18 +305,11 @@ class Field:
     own: Array
 
     @classmethod
-    def within(cls, place: Numbers, changed: Mask) -> Self:
-        """Return the field of these cells.
-
-        Parameters
-        ----------
-        place : integer array, shape (n, 2)
-            Row and column of each cell.
-        changed : boolean array, shape (n,)
-        """
-        inside = np.outer(changed, changed)
-        smooth = [inside * smooth_covariance(place, cells) for cells in FIELD_CELLS]
-        return cls(np.stack(smooth), np.diag(changed.astype(float)))
+    def of(cls, place: Numbers) -> Self:
+        """Return the field of the cells at places (n, 2), which are rows and columns."""
+        square = ((place[:, None] - place) ** 2).sum(axis=-1)
+        smooth = [np.exp(-square / (2 * cells**2)) for cells in FIELD_CELLS]
+        return cls(np.stack(smooth), np.eye(len(place)))
 
     def through(self, jacobian: Array) -> "Field":
         """Return the field of readings with this Jacobian, (readings, n)."""
@@ -320,20 +317,9 @@ class Field:
 
     def covariance(self, sizes: FieldSizes) -> Array:
         """Return the covariance with these sizes, (n, n)."""
-        own = OWN_SHARES[sizes.own]
-        shape = (1 - own) * self.smooth[sizes.cells] + own * self.own
-        return np.asarray(FIELD_DEVIATIONS[sizes.deviation] ** 2 * shape)
-
-    def evidence(self, cost: Callable[[Array], float]) -> tuple[float, FieldSizes]:
-        """Return −2 ln evidence of the field, and its most probable sizes.
-
-        Parameters
-        ----------
-        cost : callable
-            Returns −2 ln density with a covariance, (n, n), of changes.
-        """
-        costs = np.array([cost(self.covariance(sizes)) for sizes in EVERY_SIZE])
-        return mean_cost(costs), EVERY_SIZE[int(costs.argmin())]
+        variance, own = FIELD_DEVIATIONS[sizes.deviation] ** 2, OWN_SHARES[sizes.own]
+        smooth = variance * (1 - own) * self.smooth[sizes.cells]
+        return np.asarray(smooth + variance * own * self.own)
 
 
 def outline(place: Numbers, moved: Mask) -> int:
@@ -403,17 +389,15 @@ def _exchange_cells(slope: Array, slab: Array, moved: Mask) -> tuple[float, Mask
     # 1)⁻¹, the last column holds (P_MM + 1)⁻¹ s_M within M, and s − P_·M (P_MM + 1)⁻¹ s_M outside.
     moved = moved.copy()
     table = np.ascontiguousarray(np.column_stack([slab, slope]))
-    cost = 0.0
-    if inside.size:
-        inverse, volume = inverse_and_volume(slab[np.ix_(inside, inside)])
-        across = slab[np.ix_(outside, inside)]
-        pulled = inverse @ np.column_stack([across.T, slope[inside]])
-        cost = MOVED_COST * len(inside) - volume - float(slope[inside] @ pulled[:, -1])
-        to_outside = np.append(outside, len(slope))
-        table[np.ix_(outside, to_outside)] -= across @ pulled
-        table[np.ix_(inside, to_outside)] = pulled
-        table[np.ix_(inside, inside)] = -inverse
-        table[np.ix_(outside, inside)] = pulled[:, :-1].T
+    inverse, volume = inverse_and_volume(slab[np.ix_(inside, inside)])
+    across = slab[np.ix_(outside, inside)]
+    pulled = inverse @ np.column_stack([across.T, slope[inside]])
+    cost = MOVED_COST * len(inside) - volume - float(slope[inside] @ pulled[:, -1])
+    to_outside = np.append(outside, len(slope))
+    table[np.ix_(outside, to_outside)] -= across @ pulled
+    table[np.ix_(inside, to_outside)] = pulled
+    table[np.ix_(inside, inside)] = -inverse
+    table[np.ix_(outside, inside)] = pulled[:, :-1].T
     for _ in range(MAX_EXCHANGES * len(slope)):
         # Decrease of −2 ln evidence if a cell is added: s²/p − ln p − MOVED_COST with its pivot p;
         # if it is removed: MOVED_COST − s²/|p| − ln |p|.

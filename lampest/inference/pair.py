@@ -268,14 +268,15 @@ class FittedPair:
         return self.explained(self.columns(()))
 
     @cached_property
-    def _score(self) -> float:
-        """−2 ln evidence where the moved cells are single ones, or a field within an outline."""
-        changes, place = self.changes, self.place
-        fields = [
-            changes.cost_of_field(place, outlined) + self._prior
-            for outlined in changes.outlines(place, self.evidence.moved)
-        ]
-        return mean_cost(np.array([self.evidence.score, *fields]))
+    def _scores(self) -> tuple[float, float]:
+        """−2 ln evidence of single moved cells or a field within an outline, and of one of all."""
+        changes, moved = self.changes, self.evidence.moved
+        outlines = [*changes.outlines(self.place, moved), np.ones_like(moved)]
+        # The outline of a load that covers the panel is that of all cells.
+        distinct, numbers = np.unique(outlines, axis=0, return_inverse=True)
+        costs = np.array([changes.cost_of_field(self.place, outlined) for outlined in distinct])
+        *within, everywhere = costs[numbers.ravel()] + self._prior
+        return mean_cost(np.array([self.evidence.score, *within])), float(everywhere)
 
     @property
     def place(self) -> Numbers:
@@ -317,24 +318,17 @@ class FittedPair:
     @cached_property
     def density_of_loads(self) -> float:
         """`density` where the moved cells may be single ones, or a smooth field."""
-        score = mean_cost(np.array([self._score, self._score_of_field]))
-        return score - self.frames[1].log_volume + self._volume
+        return mean_cost(np.array(self._scores)) - self.frames[1].log_volume + self._volume
 
     @property
     def is_field(self) -> bool:
         """Whether all cells rather changed than some."""
-        return self._score_of_field < self._score
+        return self._scores[1] < self._scores[0]
 
     @property
     def has_load(self) -> bool:
         """Whether any cell changed."""
         return self.is_field or bool(self.moved.any())
-
-    @cached_property
-    def _score_of_field(self) -> float:
-        """−2 ln evidence where the changes of all cells are a smooth field."""
-        everywhere = np.ones_like(self.evidence.moved)
-        return self.changes.cost_of_field(self.place, everywhere) + self._prior
 
     @property
     def misfits(self) -> float:
@@ -358,7 +352,7 @@ class FittedPair:
     @property
     def beyond_noise(self) -> float:
         """The score less the misfit of the still cells as far as noise is expected to have it."""
-        return self._score - min(self._misfit)
+        return self._scores[0] - min(self._misfit)
 
     def beyond_noise_of(self, cells: Mask) -> float:
         """Return −2 ln evidence of these cells alone, beyond that of noise."""

@@ -11,8 +11,9 @@ evidence and each posterior is averaged over loads (`Changes.loads`), and over t
 channels where it is unknown.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -257,8 +258,8 @@ def _with_frame_noise(
 
 def _beside_loads(
     scene: Scene, moves: SharedChanges, size: float, factor: float
-) -> list[tuple[float, Changes]]:
-    """Return −2 ln density and the changes beside each load that may have made them.
+) -> Iterator[tuple[float, Callable[[], Changes]]]:
+    """Yield −2 ln density and a function of the changes beside each load that may have made them.
 
     Beside smooth loads errors count as far as they are `SharedChanges.centred`.
 
@@ -274,12 +275,11 @@ def _beside_loads(
     beside_cells, beside_fields = (
         each.with_channels(factor).changes(size) for each in (moves, moves.centred)
     )
-    result = list[tuple[float, Changes]]()
     for load in beside_cells.loads(places_of(scene.panel.shape)):
         changes = beside_fields if load.smooth else beside_cells
-        with_load = replace(changes, noise=changes.noise + load.covariance)
-        result.append((changes.cost_of(load), with_load))
-    return result
+        costs = load.cost + changes.costs_with(load.cells, load.covariances)
+        for cost, covariance in zip(costs.tolist(), load.covariances, strict=True):
+            yield cost, partial(changes.with_load, load.cells, covariance)
 
 
 def error_costs(scene: Scene, moves: SharedChanges, errors: Array, factors: Array) -> Array:
@@ -367,9 +367,10 @@ def _averaged_posterior(
         costs, beside = zip(*_beside_loads(scene, moves, size, factor), strict=True)
         odds_of_loads = np.exp((min(costs) - np.array(costs)) / 2)
         odds_of_loads *= odds / odds_of_loads.sum()
-        for changes, weight in zip(beside, odds_of_loads, strict=True):
+        for changes_beside, weight in zip(beside, odds_of_loads, strict=True):
             if weight < NEGLIGIBLE:
                 continue
+            changes = changes_beside()
             errors = changes.errors
             scale = moves.scales(factor, changes.columns.shape[1])
             mean = scale * errors.mean(changes.change)

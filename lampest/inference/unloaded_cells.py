@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from lampest.cost.problem import Data
 from lampest.inference.assumptions import ASSUMED
@@ -243,6 +244,8 @@ def costs_by_scatter(
             if abs(likeliest - scatter) <= SAME_SCATTER:
                 break
         linearised.append(linear)
+    if len(noises) == len(tried) == 1:
+        return of_scatters[None, None]
     nearest = np.abs(np.subtract.outer(_place(tried), _place(points))).argmin(axis=1)
     errors = [*zip(tried, nearest, strict=True)]
     return np.array(
@@ -292,7 +295,7 @@ def _noise_with_channels(
     there are none.
     """
     noise = np.diag(resting.known_sigma[resting.plain] ** 2)
-    if fit is None:
+    if fit is None or not np.any(channels_ohm):
         return [noise] * len(channels_ohm)
     cells = fit.network.cell_resistance
     columns = tolerance_errors(scene.circuit, cells, resting.value, scene, 0.0, 1.0)[1:]
@@ -329,7 +332,7 @@ def _linear_costs(
     """
     root = np.linalg.cholesky(covariance)
     widening = np.max(np.linalg.norm(root, axis=1) / sigma)
-    whitened = np.linalg.solve(root, np.column_stack([target, jacobian]))
+    whitened = solve_triangular(root, np.column_stack([target, jacobian]), lower=True)
     scaled = whitened[:, 1:]
     both = np.column_stack([whitened[:, 0], scaled @ trend])
     forms, volumes = forms_over_scales(scaled @ scaled.T, both, SCATTERS)

@@ -339,7 +339,7 @@ def positive_inverse(matrix: Array) -> Array:
 
     Raises numpy.linalg.LinAlgError if A is not positive definite.
     """
-    return inverse_and_volume(matrix)[0] if matrix.size else matrix
+    return inverse_and_volume(matrix)[0]
 
 
 def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
@@ -354,9 +354,12 @@ def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
     log_volume : float
         log det A⁻¹.
     """
-    factor = _sound(*lapack.dpotrf(matrix))
-    inverse = _sound(*lapack.dpotri(factor))
-    inverse = inverse + inverse.T  # its lower triangle is zero
+    if not matrix.size:
+        return matrix, 0.0
+    # LAPACK has the columns in memory: it takes the transposed of a matrix without turning it.
+    factor = _sound(*lapack.dpotrf(matrix.T, lower=True))
+    inverse = _sound(*lapack.dpotri(factor, lower=True))
+    inverse = inverse + inverse.T  # its upper triangle is zero
     np.einsum("ii->i", inverse)[...] /= 2
     return inverse, -2 * float(np.sum(np.log(np.diag(factor))))
 
@@ -373,7 +376,7 @@ def misfit_and_volume(covariance: Array, deviation: Array) -> tuple[float, float
     """
     if not deviation.size:
         return 0.0, 0.0
-    factor = _sound(*lapack.dpotrf(covariance, lower=True))
+    factor = _sound(*lapack.dpotrf(covariance.T, lower=True, clean=False))
     white = _sound(*lapack.dtrtrs(factor, deviation, lower=True))
     return float(white @ white), 2 * float(np.sum(np.log(np.diag(factor))))
 

@@ -93,7 +93,7 @@ def test_the_density_is_that_of_the_joint_distribution(changed: str) -> None:
     covariance = np.zeros((COUNT, COUNT))
     covariance[13, 13] = 1.0
     if changed == "a field":
-        field = Field.within(PLACE, np.ones(COUNT, dtype=bool))
+        field = Field.of(PLACE)
         covariance = field.covariance(FieldSizes(deviation=0, cells=1, own=1))
     density = LoadedDensity(pair)
     near = density._linearised(covariance, density._at_rest.cells)
@@ -113,12 +113,10 @@ def test_changed_cells_are_selected_about_the_most_probable_ones() -> None:
         assert np.array_equal(cells, changed)
 
 
-def test_a_field_has_its_deviation_distance_and_share_within_its_outline() -> None:
-    changed = np.arange(COUNT) < SIDE
-    field = Field.within(PLACE, changed)
-    inside = np.outer(changed, changed)
-    last = 9.0 * (0.9 * inside + 0.1 * np.diag(changed))
+def test_a_field_has_its_deviation_distance_and_share() -> None:
+    field = Field.of(PLACE)
+    last = 9.0 * (0.9 + 0.1 * np.eye(COUNT))
     assert np.allclose(field.covariance(FieldSizes(2, 3, 2)), last)
     square = ((PLACE[:, None] - PLACE) ** 2).sum(axis=-1)
-    first = 0.09 * inside * ((1 - 1e-4) * np.exp(-square / 2) + 1e-4 * np.eye(COUNT))
+    first = 0.09 * ((1 - 1e-4) * np.exp(-square / 2) + 1e-4 * np.eye(COUNT))
     assert np.allclose(field.covariance(FieldSizes(0, 0, 0)), first)

@@ -26,6 +26,7 @@ import numpy as np
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import data_of_cells
 from lampest.inference.evidence import (
+    EVERY_SIZE,
     MIDDLE_SIZES,
     MOVED_COST,
     OUTLINE_COST,
@@ -117,12 +118,15 @@ class LoadedDensity:
 
     def _cost_of_field(self, changed: Mask) -> float:
         """Return −2 ln density where the changes are a smooth field within an outline."""
-        field = Field.within(self.pair.place, changed)
+        inside = np.eye(len(changed))[:, changed]
+        field = Field.of(self.pair.place[changed]).through(inside)
         cells, sizes = self._at_rest.cells, MIDDLE_SIZES
         for _ in range(MAX_ROUNDS):
             taken = sizes
             near = self._linearised(field.covariance(taken), cells)
-            cost, sizes = field.through(near.jacobian).evidence(near.cost)
+            covariances = map(field.through(near.jacobian).covariance, EVERY_SIZE)
+            costs = np.array([*map(near.cost, covariances)])
+            cost, sizes = mean_cost(costs), EVERY_SIZE[int(costs.argmin())]
             if sizes == taken:
                 break
             cells = near.cells

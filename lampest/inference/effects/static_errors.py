@@ -141,11 +141,11 @@ def shared_frames(noise: NoiseEstimate, recording: Recording) -> SharedFrames:
     )
 
 
-def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
+def shared_errors(scene: Scene, frames: SharedFrames, needed: str = "") -> SharedErrors:
     """Return the errors that a scene calls `estimated`, from the unloaded panel and a loaded frame.
 
     Advice asks for the evidence of errors that a scene does not name, and for their sizes, with a
-    scene that does.
+    scene that does. Where the gain of the field `needed` is known, no joint posterior is computed.
     """
     prior = systematic_of(scene) or Systematic()
     resting = frames.resting
@@ -187,6 +187,8 @@ def shared_errors(scene: Scene, frames: SharedFrames) -> SharedErrors:
     if moves.has_channels:
         spread, gain = _channel_spread(scene, frames, moves, size)
         own = replace(own, gains=own.gains | {CHANNELS: gain})
+    if needed in own.gains:
+        return own
     return _with_common_errors(own, moves, prior, scene, spread)
 
 
@@ -553,7 +555,7 @@ def _gain_beside(scene: Scene, frames: SharedFrames, error: SharedEffect) -> flo
         coarse = coarse + _costs_of_errors(scene, moves, COARSE)[0, COARSE]
         if coarse[0] - coarse.min() < COARSE_GAIN:
             return 0.0
-    errors = shared_errors(scene, frames)
+    errors = shared_errors(scene, frames, error.setting)
     if error.setting in errors.gains:
         return errors.gains[error.setting]
     if error.setting not in errors.sizes:
