@@ -26,6 +26,8 @@ from lampest.apps.recognition.hypotheses import (
     BREATH,
     BREATHING_SD,
     EVIDENCE_SHARE,
+    LEAK_SD,
+    LEAK_SHARE,
     MOVES,
     RATES_HZ,
     RIM,
@@ -144,7 +146,8 @@ def _steady_breath(
     if len(times) < MIN_FRAMES or rate < MIN_RATE_HZ:
         return None
     lasted = float(times[-1] - times[0])
-    own_patterns, changes = patterns.beside_others(interval.without_trend(recorded))
+    with_bodies = interval.without_trend(recorded)
+    own_patterns, changes = patterns.beside_others(with_bodies)
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], MAX_RATE_SHARE * rate), RATE_STEP / lasted)
     even_waves = _waves(hertz, times)
     waves = interval.without_trend(suction[:, None] * even_waves)
@@ -166,9 +169,12 @@ def _steady_breath(
         waves=waves,
         even=even,
         wide=_Axes.of(interval.without_trend(suction[:, None] * _wandering(hertz, times))),
+        leak=_Axes.of(interval.without_trend(interval.ramps()[1]).T[:, :, None]),
         tapered=np.swapaxes(faded / np.linalg.norm(faded, axis=1, keepdims=True), 1, 2),
         changes=changes,
         patterns=own_patterns,
+        with_bodies=with_bodies,
+        bodies=patterns,
         freedom=len(times) - interval.trend().shape[1],
     )
     breaths = [window.breath(*rates) for rates in window.rates(level, rate)]
@@ -229,13 +235,18 @@ class _Window(NamedTuple):
         Rates in Hz.
     waves : array, shape (rates, frames, 2)
         Sine and cosine in proportion to the suction.
-    even, wide : _Axes
-        Axes of these waves, and of waves whose rate wanders.
+    even, wide, leak : _Axes
+        Axes of these waves, of waves whose rate wanders, and of a suction that falls steadily from
+        a time on.
     tapered : array, shape (rates, 2, frames)
         Waves that fade towards the ends of the window, of unit length.
     changes : array, shape (frames, readings)
         Whitened changes of ln y.
     patterns : Patterns
+    with_bodies : array, shape (frames, readings)
+        Changes with those of other loads and bodies.
+    bodies : Patterns
+        Patterns with these.
     freedom : int
         Degrees of freedom of a series in the window.
     """
@@ -246,9 +257,12 @@ class _Window(NamedTuple):
     waves: Array
     even: _Axes
     wide: _Axes
+    leak: _Axes
     tapered: Array
     changes: Array
     patterns: Patterns
+    with_bodies: Array
+    bodies: Patterns
     freedom: int
 
     @property
@@ -340,8 +354,7 @@ class _Window(NamedTuple):
         best : int
             Number of the rate of the suction.
         """
-        same = np.abs(self.hertz - self.hertz[best]) < 1 / (2 * self.lasted)
-        own = swings[same]
+        own = swings[np.abs(self.hertz - self.hertz[best]) < 1 / (2 * self.lasted)]
         root = self.even.gain.mean() ** 0.5  # swings at unit amplitude
         by_rate = logsumexp(_explained(root * patterns.own, BREATH.largest, own), axis=0)
         beside = root * patterns.beside
@@ -355,23 +368,48 @@ class _Window(NamedTuple):
             return float(logsumexp(explained, axis=0).max()) - log(SIZES)
 
         breathes = evidence(BREATH)
+        pushed = self._pushed(best)
         # 1/w = 1 + Σ_causes (E_cause/E_breath)^½/odds
         against = [
-            EVIDENCE_SHARE * (explained - breathes) - log(cause.odds)
-            for cause, explained in ((RIM, evidence(RIM)), (MOVES, evidence(MOVES)), (BESIDE, 0.0))
+            EVIDENCE_SHARE * (explained - breathes)
+            + np.log(pushed / cause.odds_adjoined + (1 - pushed) / cause.odds)
+            for cause, explained in (
+                (RIM, evidence(RIM)),
+                (MOVES, evidence(MOVES)),
+                (BESIDE, 0.0),
+            )
         ]
         return float(expit(-logsumexp(against)))
 
+    def _pushed(self, best: int) -> float:
+        """Return the probability that a body that adjoins the load swings at one rate.
+
+        It moves the load at the rates at which it moves itself.
+        """
+        if not self.bodies.adjoining.size:
+            return 0.0
+        gain = self.even.gain.mean()
+        breathing = BREATHING_SD**2 * gain * self.bodies.own @ self.bodies.own.T
+        whitening = Whitening.of(np.eye(len(breathing)) + breathing)
+        swing = whitening @ (self.even.axes[best] @ self.with_bodies).T
+        adjoining = whitening @ (gain**0.5 * self.bodies.adjoining)
+        by_size = _explained(adjoining, BREATH.largest, swing.T[None])
+        evidence = logsumexp(by_size) - log(SIZES)
+        return float(expit(EVIDENCE_SHARE * evidence - log(RIM.odds)))
+
     def _odds(self, suction: Array, near: Mask) -> float:
-        """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD.
+        """Return ln of the odds of A = BREATHING_SD against A = TREMBLE_SD, or a leak.
 
         `suction` (frames,) is the relative suction, `near` (rates,) has the rates of the breath.
         """
         breathing, jitter = (
-            logsumexp(self.wide.evidence(suction, sd, self.freedom)[near])
+            logsumexp(self.wide.evidence(suction, sd, self.freedom)[near]) - log(near.sum())
             for sd in (BREATHING_SD, TREMBLE_SD)
         )
-        return float(breathing - jitter + np.log(near.mean()))
+        leaks = self.leak.evidence(suction, LEAK_SD, self.freedom)
+        leaking = logsumexp(leaks) - log(len(leaks))
+        steady = np.logaddexp(log(1 - LEAK_SHARE) + jitter, log(LEAK_SHARE) + leaking)
+        return float(breathing - steady + np.log(near.mean()))
 
     def _depth(self, best: int, noise: float) -> Pair:
         """Return the relative amplitude of the suction and its standard deviation.

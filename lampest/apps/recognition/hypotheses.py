@@ -32,6 +32,10 @@ MIN_DEPTH = 0.03
 # −ln of the shares of mouths that never show their breath, because it is faint or at half the frame
 # rate, and of windows in which a mouth pauses: one in ten each, assumed.
 SILENT_LOG_ODDS = log(10)
+# Share of windows in which a suction that does not breathe begins to leak, and how fast, 1/s:
+# assumed. The bend of such a suction resembles a slow breath.
+LEAK_SHARE = 0.05
+LEAK_SD = 0.3
 # −ln of a share of one in twenty, assumed: of steps that are noise.
 RARE_LOG_ODDS = log(20)
 # Exponent of evidence ratios, because films and loads deviate from their models in more ways than
@@ -49,22 +53,24 @@ class Cause(NamedTuple):
         Its field of `lampest.apps.recognition.swings.Patterns`.
     largest : float
         Largest amplitude, in units of the pattern.
-    odds : float
-        Prior odds of breath against it.
+    odds, odds_adjoined : float
+        Prior odds of breath against it, and the same where a body or another load adjoins the load
+        and may move it.
     """
 
     pattern: str
     largest: float
     odds: float
+    odds_adjoined: float
 
 
 # Above 15 % the unevenness of a film would explain the swings of a shaken cup.
-BREATH = Cause("own", 0.15, 1.0)
+BREATH = Cause("own", 0.15, 1.0, 1.0)
 # What sucks and breathes always does, while rims and places swing at one rate only where something
 # pushes them. A rim swings by all of its pressure, a place ten times as far as usual, and the
 # resistance of a cell beside by 5 %.
-RIM = Cause("rim", 1.0, 10.0)
-MOVES = Cause("moves", 10.0, 10.0)
-BESIDE = Cause("beside", 0.05, 30.0)
+RIM = Cause("rim", 1.0, 10.0, 0.1)
+MOVES = Cause("moves", 10.0, 10.0, 0.1)
+BESIDE = Cause("beside", 0.05, 30.0, 0.1)
 # of breath, against all other causes together
 PRIOR_ODDS = 1 / sum(1 / cause.odds for cause in (RIM, MOVES, BESIDE))

@@ -107,9 +107,14 @@ class SteadyFrames(NamedTuple):
 
         Parameters and gain are those of `pulled`.
         """
-        begins = self.times[MIN_PART:-1]
-        best, gain = self._beside_wave(series, axes, np.maximum(self.times[:, None] - begins, 0.0))
+        begins, ramps = self.ramps()
+        best, gain = self._beside_wave(series, axes, ramps)
         return float(begins[best]), gain
+
+    def ramps(self) -> tuple[Array, Array]:
+        """Return times (n,), s, and the seconds since each of them at every frame, (frames, n)."""
+        begins = self.times[MIN_PART:-1]
+        return begins, np.maximum(self.times[:, None] - begins, 0.0)
 
     def _beside_wave(self, series: Array, axes: Array, shapes: Array) -> tuple[int, float]:
         """Return the number of the shape, of (frames, n), that explains a series best.

@@ -17,7 +17,7 @@ from lampest.apps.recognition.mouth_model import priors
 from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.files.levels import NOISE_REACH
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.response import CURVE_KPA, CURVE_RATIO, PublishedResponse
 
 # Assumed relative standard deviation of the whole rim's swing against that of suction, because the
@@ -31,6 +31,9 @@ CURVE_SD = 0.27
 # Suction from which an alternative curve through the published point may begin, instead of 0 kPa.
 THRESHOLD_KPA = -2.0
 WAVE_KPA = 0.2  # pressure of a wave, by which slopes are taken
+# Distances of a body's cells to the nearest of a load, in pitches, at which it may move the rim.
+# Nearer ones may be of the rim itself.
+ADJOINS_PITCHES = (1.5, 3.2)
 
 
 class Patterns(NamedTuple):
@@ -53,6 +56,9 @@ class Patterns(NamedTuple):
         Cells that neither the load nor `others` contain, each by itself; none in `of`.
     curve : float
         Relative standard deviation of the depth by a curve under suction that was not measured.
+    adjoining : array
+        The part of `others` by loads and bodies that adjoin the load and may move its rim; none in
+        `of`.
     """
 
     own: Array
@@ -60,6 +66,7 @@ class Patterns(NamedTuple):
     moves: Array
     others: Array
     beside: Array
+    adjoining: Array
     curve: float = 0.0
 
     @classmethod
@@ -102,7 +109,7 @@ class Patterns(NamedTuple):
             [moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))]
         )
         none = np.zeros((len(by_cell), 0))
-        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, none, curve)
+        return cls(by_cell @ suction, by_cell @ rigid, by_cell @ moving, others, none, none, curve)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
         """Project patterns and changes (frames, readings) on the complement of `others`.
@@ -197,8 +204,22 @@ def patterns_of(verdict: Verdict, whitening: Array) -> list[Patterns]:
             ),
             curve=curve,
         )
-        patterns.append(pattern._replace(beside=by_cell[:, ~(under | beside)]))
+        patterns.append(
+            pattern._replace(
+                beside=by_cell[:, ~(under | beside)],
+                adjoining=by_cell[:, beside & adjoin(panel, beside, under)],
+            )
+        )
     return patterns
+
+
+def adjoin(panel: Panel, body: Mask, load: Mask) -> bool:
+    """Return whether one of a body's cells, (cells,), is within ADJOINS_PITCHES of a load's."""
+    x, y = (line.ravel() / panel.pitch_mm for line in panel.places_mm)
+    distance = np.hypot(x[body, None] - x[load], y[body, None] - y[load])
+    nearest = np.fmin.reduce(distance, axis=1, initial=np.inf)
+    least, most = ADJOINS_PITCHES
+    return bool(np.any((nearest > least) & (nearest < most)))
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:

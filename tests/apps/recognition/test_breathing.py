@@ -12,8 +12,8 @@ from lampest.apps.recognition.breath import Breath, breath
 from lampest.apps.recognition.breathing import Breathing
 from lampest.apps.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, settled
-from lampest.apps.recognition.swings import Patterns
-from lampest.panel.panel import Array
+from lampest.apps.recognition.swings import Patterns, adjoin
+from lampest.panel.panel import Array, Panel
 
 TIMES = np.arange(0, 8, 0.25)
 READINGS = 40
@@ -34,6 +34,7 @@ def window(
     waves: float = 0.0,
     wild: bool = False,
     strong: float = 1.0,
+    body: float | None = None,
 ) -> Breath:
     """Return the breath in 8 s at four frames a second, whose parts swing at 1.1 Hz.
 
@@ -57,6 +58,8 @@ def window(
         Whether there are outliers of fifty standard deviations.
     strong : float
         Factor of the readings' change with suction.
+    body : float or None
+        Swing of a body that adjoins the load; None where there is no body.
     """
     rng = np.random.default_rng(seed)
     rise = np.repeat([-2.0, 1.0], READINGS // 2)
@@ -73,7 +76,11 @@ def window(
     changes = changes + waves * np.outer(swinging[0], film * supply[:, 0])
     changes += wild * 50 * (rng.random(changes.shape) < 0.003)
     spread = 0.2 * np.abs(slopes)
-    known = Patterns.of(np.eye(READINGS), rise, slopes[None], spread, moves, supply)
+    bodies = rng.standard_normal((READINGS, int(body is not None)))
+    changes += (body or 0.0) * np.outer(swinging[0], bodies.sum(axis=1))
+    others = np.hstack([supply, bodies])
+    known = Patterns.of(np.eye(READINGS), rise, slopes[None], spread, moves, others)
+    known = known._replace(adjoining=bodies)
     return breath(SteadyFrames.of(TIMES, changes), settled(changes), known)
 
 
@@ -127,9 +134,10 @@ def test_waves_and_noise_are_not_breath_and_hide_none(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_stronger_movement_at_another_rate_hides_no_breath(seed: int) -> None:
-    """A current moves the load at 0.65 Hz; the suction swings at 1.1 Hz."""
-    shown = window(own=0.05, place=2.0, slower=1.7, seed=seed)
+@pytest.mark.parametrize("slower", [1.7, 2.0])
+def test_a_stronger_movement_at_another_rate_hides_no_breath(slower: float, seed: int) -> None:
+    """A current moves the load at 0.65 Hz, or at half the rate of the suction, 1.1 Hz."""
+    shown = window(own=0.05, place=2.0, slower=slower, seed=seed)
     assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.9
     assert shown.hertz[0] == pytest.approx(1.1, abs=0.05)
 
@@ -163,6 +171,27 @@ def test_cells_that_swing_beside_a_load_are_not_its_breath_and_hide_none(seed: i
         for changes in [np.outer(wave, swing) + rng.standard_normal((len(TIMES), 2 * READINGS))]
     )
     assert alone < 0.5 and hidden > 0.95
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_neighbouring_body_that_swings_makes_swings_of_the_rim_likelier(seed: int) -> None:
+    """A swing of the whole suction remains a breath."""
+    still, swinging = (
+        shown.suction / (1 - shown.suction)
+        for swing in (0.0, 20.0)
+        for shown in [window(own=0.01, rim=0.02, body=swing, seed=seed)]
+    )
+    assert still > 5 * swinging
+    assert window(own=0.08, body=20.0, seed=seed).suction > 0.95
+
+
+def test_a_body_is_distinguished_from_cells_of_the_rim() -> None:
+    panel = Panel(6, 6)
+    load, rim, body, far = np.zeros((4, 6, 6), dtype=bool)
+    load[1:3, 1:3] = rim[3, 1] = body[1, 4] = far[5, 5] = True
+    beside = [adjoin(panel, some.ravel(), load.ravel()) for some in (rim, body, far, rim | body)]
+    assert beside == [False, True, False, True]
+    assert not adjoin(panel, np.zeros(36, dtype=bool), load.ravel())
 
 
 def test_swings_within_a_pull_are_no_outliers() -> None:
