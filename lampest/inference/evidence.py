@@ -25,12 +25,11 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.linalg import solve_triangular
 
 from lampest.inference.number import mean_cost
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.posterior.gaussian import Conditioned
-from lampest.posterior.linear import inverse_and_volume, misfit_and_volume, swept
+from lampest.posterior.linear import inverse_and_volume, misfit_and_volume, swept, whitened
 
 MOVED_COST = 2.8  # 2 ln 4: −2 ln of the prior odds of one to four that a cell moved
 OUTLINE_COST = 2 * float(np.log(3))  # for each edge between a moved and a still cell
@@ -151,7 +150,7 @@ class Changes:
         covariance = self.covariance
         root = np.linalg.cholesky(covariance[np.ix_(~cells, ~cells)])
         of_others = np.column_stack([self.change, covariance[:, cells]])[~cells]
-        known, across = np.split(solve_triangular(root, of_others, lower=True), [1], axis=1)
+        known, across = np.split(whitened(root, of_others), [1], axis=1)
         change = self.change[cells] - across.T @ known[:, 0]
         noise = covariance[np.ix_(cells, cells)] - across.T @ across
         costs = [sum(misfit_and_volume(noise + each, change)) for each in covariances]

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from lampest.cost.problem import Data
 from lampest.inference.assumptions import ASSUMED
@@ -34,7 +33,7 @@ from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.gaussian import forms_over_scales, lower_root
-from lampest.posterior.linear import inverse_and_volume
+from lampest.posterior.linear import inverse_and_volume, whitened
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
@@ -332,9 +331,9 @@ def _linear_costs(
     """
     root = np.linalg.cholesky(covariance)
     widening = np.max(np.linalg.norm(root, axis=1) / sigma)
-    whitened = solve_triangular(root, np.column_stack([target, jacobian]), lower=True)
-    scaled = whitened[:, 1:]
-    both = np.column_stack([whitened[:, 0], scaled @ trend])
+    white = whitened(root, np.column_stack([target, jacobian]))
+    scaled = white[:, 1:]
+    both = np.column_stack([white[:, 0], scaled @ trend])
     forms, volumes = forms_over_scales(scaled @ scaled.T, both, SCATTERS)
     known = np.zeros((len(AMPLITUDES), trend.shape[1]))
     known[:, 1:] = 1 / (AMPLITUDES[:, None] ** 2 * np.count_nonzero(trend[:, 0]))

@@ -369,6 +369,16 @@ def inverse_root(matrix: Array) -> Array:
     return _sound(*lapack.dtrtri(_sound(*lapack.dpotrf(matrix))))
 
 
+def whitened(root: Array, values: Array) -> Array:
+    """Return L⁻¹ X of a lower triangular L, (n, n), and X, (n, m).
+
+    Raises numpy.linalg.LinAlgError if L is singular.
+    """
+    if not root.size:
+        return values
+    return np.asarray(_sound(*lapack.dtrtrs(root, values, lower=True)))
+
+
 def misfit_and_volume(covariance: Array, deviation: Array) -> tuple[float, float]:
     """Return the misfit dᵀ C⁻¹ d of deviations d of covariance C, and ln det C.
 
