@@ -344,7 +344,8 @@ class _Window(NamedTuple):
         """Return the probability that suction oscillates with its rim, against all other causes.
 
         Cells beside the load may swing in any case, by the size that explains the swing best at the
-        rate of the suction.
+        rate of the suction. Other causes may oscillate at half the rate as well, also beyond half
+        the frame rate, because the square of a movement oscillates at twice its rate.
 
         Parameters
         ----------
@@ -354,7 +355,12 @@ class _Window(NamedTuple):
         best : int
             Number of the rate of the suction.
         """
-        own = swings[np.abs(self.hertz - self.hertz[best]) < 1 / (2 * self.lasted)]
+        hertz = self.hertz[best]
+        frames_hz = (len(self.within) - 1) / self.lasted
+        same = np.abs(self.hertz - hertz) < 1 / (2 * self.lasted)
+        halves = np.array([hertz / 2, (frames_hz - hertz) / 2])[:, None]
+        halved = (np.abs(self.hertz - halves) < 1 / (4 * self.lasted)).any(axis=0)
+        own = swings[same]
         root = self.even.gain.mean() ** 0.5  # swings at unit amplitude
         by_rate = logsumexp(_explained(root * patterns.own, BREATH.largest, own), axis=0)
         beside = root * patterns.beside
@@ -362,20 +368,20 @@ class _Window(NamedTuple):
         size = _sizes(BESIDE.largest)[np.argmax(by_size)]
         whitening = Whitening.of(np.eye(len(beside)) + size**2 * beside @ beside.T).matrix
 
-        def evidence(cause: Cause) -> float:
+        def evidence(cause: Cause, rates: Mask) -> float:
             pattern = root * whitening @ getattr(patterns, cause.pattern)
-            explained = _explained(pattern, cause.largest, own @ whitening.T)
+            explained = _explained(pattern, cause.largest, swings[rates] @ whitening.T)
             return float(logsumexp(explained, axis=0).max()) - log(SIZES)
 
-        breathes = evidence(BREATH)
+        breathes = evidence(BREATH, same)
         pushed = self._pushed(best)
         # 1/w = 1 + Σ_causes (E_cause/E_breath)^½/odds
         against = [
             EVIDENCE_SHARE * (explained - breathes)
             + np.log(pushed / cause.odds_adjoined + (1 - pushed) / cause.odds)
             for cause, explained in (
-                (RIM, evidence(RIM)),
-                (MOVES, evidence(MOVES)),
+                (RIM, evidence(RIM, same | halved)),
+                (MOVES, evidence(MOVES, same | halved)),
                 (BESIDE, 0.0),
             )
         ]

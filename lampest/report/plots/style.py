@@ -68,7 +68,9 @@ def dressed(axes: Axes, x: str, y: str) -> None:
     axes.set_axisbelow(True)
 
 
-def shared_legend(figure: Figure, grid: Any, location: str, least: int = 1, **look: Any) -> None:
+def shared_legend(
+    figure: Figure, grid: Any, location: str = "upper center", least: int = 1, **look: Any
+) -> None:
     """Add one legend for all axes, unless there are fewer labels than `least`."""
     handles: dict[str, Any] = {}
     for axes in grid.flat:

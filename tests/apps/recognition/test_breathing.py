@@ -134,10 +134,9 @@ def test_waves_and_noise_are_not_breath_and_hide_none(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("slower", [1.7, 2.0])
-def test_a_stronger_movement_at_another_rate_hides_no_breath(slower: float, seed: int) -> None:
-    """A current moves the load at 0.65 Hz, or at half the rate of the suction, 1.1 Hz."""
-    shown = window(own=0.05, place=2.0, slower=slower, seed=seed)
+def test_a_stronger_movement_at_another_rate_hides_no_breath(seed: int) -> None:
+    """A current moves the load at 0.65 Hz; the suction swings at 1.1 Hz."""
+    shown = window(own=0.05, place=2.0, slower=1.7, seed=seed)
     assert shown.odds > CLEAR_LOG_ODDS and shown.suction > 0.9
     assert shown.hertz[0] == pytest.approx(1.1, abs=0.05)
 
