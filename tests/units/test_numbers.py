@@ -86,6 +86,8 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
         ("between 0.5 and 2.5 Hz", hypotheses.RATES_HZ[1] - hypotheses.RATES_HZ[0], 2),
         ("A sample is the median of the frames of 3 s", pumping.BLOCK_S, 3),
         ("One fifth of all mouths is assumed to show no pumps", pumping.HIDDEN_SHARE, 0.2),
+        ("one cup in twenty to be pressed on as often", pumping.RESTORED_SHARE, 0.05),
+        ("A breath that exceeded P = 0.99", breathing.CERTAIN, 0.99),
         ("The eight most probable times of the last jump", pumping.HYPOTHESES, 8),
     ],
     "docs/apps/recognition/detect.md": [

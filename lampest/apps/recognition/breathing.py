@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from lampest.apps.recognition.breath import Breath, Pair
-from lampest.apps.recognition.hypotheses import PRIOR_ODDS, SILENT_LOG_ODDS
+from lampest.apps.recognition.hypotheses import MIN_DEPTH, PRIOR_ODDS, SILENT_LOG_ODDS
 
 # duration over which a rhythm is steady, and the least that determines one
 WINDOW_S = 8.0
@@ -29,6 +29,7 @@ REMEMBERED = 4.0
 ONE_SIDED = 1.645  # standard deviations of an upper limit with 95 %
 MAX_LOG_ODDS = 10.0  # upper limit of accumulated ln odds of breathing
 PRIOR_SUCTION = PRIOR_ODDS / (1 + PRIOR_ODDS)
+CERTAIN = 0.99  # of breath: a mouth that was as certain stays one while it does not oscillate
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class Breathing:
         that determines them.
     max_depth : float
         Largest depth that the last full window allows, with 95 %; infinite before one.
+    clearest : float
+        Probability after the last full window; 0 where that one excludes a breath of MIN_DEPTH.
     full_s, judged_s : float
         Times of the last frame of the last full window, and of the last window, s.
     """
@@ -68,13 +71,18 @@ class Breathing:
     hertz: Pair | None = None
     depth: Pair | None = None
     max_depth: float = inf
+    clearest: float = 0.0
     full_s: float = -inf
     judged_s: float = -inf
 
     @property
     def probability(self) -> float:
-        """Probability that suction oscillates at a breathing rate; 1/2 before any observation."""
-        return self.suction * float(expit(self.odds))
+        """Probability that suction oscillates at a breathing rate; 1/2 before any observation.
+
+        Where it exceeded CERTAIN, windows with other oscillations do not lower it.
+        """
+        now = self.suction * float(expit(self.odds))
+        return max(now, self.clearest) if self.clearest > CERTAIN else now
 
     def parted(self, steps: Sequence[float]) -> "Breathing":
         """Return the breath after steps at times in s.
@@ -130,7 +138,9 @@ class Breathing:
         if not full:
             return weighed
         depth, depth_sd = breath.depth
-        return replace(weighed, max_depth=depth + ONE_SIDED * depth_sd)._closed(time)
+        max_depth = depth + ONE_SIDED * depth_sd
+        clearest = weighed.probability if max_depth >= MIN_DEPTH else 0.0
+        return replace(weighed, max_depth=max_depth, clearest=clearest)._closed(time)
 
     def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":
         """Return the breath with that of one more window."""

@@ -70,6 +70,8 @@ DRIFTS = np.array([0.0005, 0.003, 0.015])  # q, 1/√s: creep, temperature, alia
 HYPOTHESES = 8  # times of the last jump that are kept for each combination
 # Assumed share of mouths whose pumps are invisible, for which their absence is no evidence.
 HIDDEN_SHARE = 0.2
+# Assumed share of cups whose suction is restored as pumps do, for which pumps are no evidence.
+RESTORED_SHARE = 0.05
 # Least duration of the frames whose median is one sample, without outliers and most of the breath.
 BLOCK_S = 3.0
 # Numbers of kinds, leaks, noises, drifts and hypotheses.
@@ -258,8 +260,15 @@ class Pumping:
 
     @property
     def odds(self) -> float:
-        """ln odds that the load is a mouth, if HIDDEN_SHARE of all mouths show no pumps."""
-        return float(np.logaddexp(np.log(HIDDEN_SHARE), np.log(1 - HIDDEN_SHARE) + self._kinds))
+        """ln odds that the load is a mouth.
+
+        HIDDEN_SHARE of all mouths show no pumps, and RESTORED_SHARE of all cups seem to pump.
+        """
+        mouth, cup = (
+            np.logaddexp(np.log(1 - pumping), np.log(pumping) + self._kinds)
+            for pumping in (1 - HIDDEN_SHARE, RESTORED_SHARE)
+        )
+        return float(mouth - cup)
 
 
 def _with_hypothesis(new: Array, values: Array) -> Array:

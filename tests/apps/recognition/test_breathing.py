@@ -10,6 +10,7 @@ import pytest
 
 from lampest.apps.recognition.breath import Breath, breath
 from lampest.apps.recognition.breathing import Breathing
+from lampest.apps.recognition.hypotheses import SILENT_LOG_ODDS
 from lampest.apps.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.apps.recognition.steady_frames import SteadyFrames, settled
 from lampest.apps.recognition.swings import Patterns, adjoin
@@ -244,6 +245,22 @@ def test_many_like_windows_are_little_surer_than_a_few() -> None:
     assert mouth.probability > 0.98
 
 
+def test_a_clear_breath_is_lost_to_its_absence_alone() -> None:
+    """Not to movements that hide it, where it was certain before."""
+    clear, moved = (Breath(9.0, suction, (1.1, 0.1), (0.08, 0.01)) for suction in (1 - 1e-6, 1e-6))
+    still = Breath(-6.0, 0.9, (1.1, 0.1), (0.01, 0.005))
+    certain, likely = Breathing(), Breathing().after(replace(clear, odds=4.0), 8.0, full=True)
+    for number in range(3):
+        certain = certain.after(clear, 8.0 * number, full=True)
+    assert certain.probability > 0.99 > likely.probability > 0.9
+    for number in range(3, 8):
+        certain, likely = (
+            breathing.after(moved, 8.0 * number, full=True) for breathing in (certain, likely)
+        )
+    assert certain.probability > 0.99 and likely.probability < 0.1
+    assert certain.after(still, 72.0, full=True).probability < 0.1
+
+
 def test_a_mouth_that_breathes_again_is_recognised_within_half_a_minute() -> None:
     silent = Breath(-6.0, 0.9, (1.1, 0.1), (0.08, 0.01))
     clear = Breath(8.0, 0.99, (1.1, 0.1), (0.08, 0.01))
@@ -349,6 +366,13 @@ def test_decaying_and_pumped_suction_is_alive(period_s: float, loss: float, seed
 def test_a_leaking_creeping_or_touched_cup_is_not_alive(course: Array, seed: int) -> None:
     odds = followed(course, seed=seed)
     assert np.max(odds) < ANSWER_LOG_ODDS and odds[-1] < 0.5
+
+
+def test_pumps_alone_leave_one_cup_in_twenty() -> None:
+    """A cup that somebody pushes on again and again decays and rises as a mouth does."""
+    pressed = float(np.max(followed(pumped(45.0, 0.4))))
+    assert ANSWER_LOG_ODDS < pressed < np.log(0.8 / 0.05)
+    assert pressed - SILENT_LOG_ODDS < ANSWER_LOG_ODDS, "without any breath it is no mouth"
 
 
 @pytest.mark.slow
