@@ -418,6 +418,21 @@ def test_the_order_of_isolated_cells_is_not_doubted() -> None:
     assert doubted <= 1
 
 
+def test_a_bar_across_the_panel_tells_no_length_of_the_rows() -> None:
+    """Three full rows of four readings are one of twelve."""
+    image = np.zeros((12, 4))
+    image[6:9] = 0.9
+    across, beside = (
+        scores(np.roll(image, shift, axis=0), np.full(image.shape, 0.01))[None] for shift in (0, 1)
+    )
+    assert across.any() and smoother_order(across) is None and smoother_order(beside) is None
+    # cut from four rows of twelve, whose load is round
+    row, column = np.indices((4, 12))
+    load = np.exp(-((row - 1.5) ** 2) / 2 - (column - 5) ** 2 / 4)
+    cut = smoother_order(scores(load.reshape(12, 4), np.full(image.shape, 0.01))[None])
+    assert cut is not None and cut.order.words == "4 rows of 12 readings, not 12 of 4"
+
+
 def test_rows_of_the_wrong_length_are_named_with_their_remedy() -> None:
     plan = next(
         replace(plan, load="jumps", measured=20)

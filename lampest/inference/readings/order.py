@@ -305,11 +305,16 @@ def scores(image: Array, noise: Array) -> Array:
     """
     reach = np.maximum(NOISE_REACH * noise, MIN_SHARE * np.abs(image).max())
     beyond = np.maximum(np.abs(image) - reach, 0.0)
-    second = [np.sort(beyond, axis=axis).take(-2, axis) for axis in (0, 1)]
-    usual = min(np.sort(of_lines)[-MIN_COVERED] for of_lines in second)
+    usual = usual_size(beyond)
     if not usual > 0:
         return np.zeros(image.shape)
     return np.asarray(np.tanh(np.sign(image) * beyond / usual))
+
+
+def usual_size(image: Array) -> float:
+    """Return c of the sizes of an image's changes, (rows, columns); 0 on fewer than MIN_COVERED."""
+    second = [np.sort(image, axis=axis).take(-2, axis) for axis in (0, 1)]
+    return float(min(np.sort(of_lines)[-MIN_COVERED] for of_lines in second))
 
 
 def along_side(images: Array, side: int | None) -> Numbers:
@@ -365,10 +370,17 @@ def smoother_order(images: Array) -> SmootherOrder | None:
     flat = images.reshape(len(images), -1)
     as_specified = smooth_costs(images)
     tried = list(orders(*images.shape[1:]))
-    gains = [as_specified - smooth_costs(flat[:, order.image]) for order in tried]
+
+    def gains_of(order: Order) -> Array:
+        in_order = flat[:, order.image]
+        # Where a load covers few lines in an order, it is no image in that one either.
+        shown = np.array([usual_size(np.abs(image)) > 0 for image in in_order])
+        return (as_specified - smooth_costs(in_order)) * shown
+
+    gains = [*map(gains_of, tried)]
     several = several_exchanges(tried, np.sum(gains, axis=1))
     tried += several
-    gains += [as_specified - smooth_costs(flat[:, order.image]) for order in several]
+    gains += map(gains_of, several)
     best = int(np.argmax(np.sum(gains, axis=1).round(6)))
     # A coincidence bounds each place's share of the evidence.
     in_order = flat[:, tried[best].image]
