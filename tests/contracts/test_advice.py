@@ -85,6 +85,7 @@ def test_apply_writes_the_lines_into_the_scene(
     assert "model      yes" in output and words not in advised
 
 
+@pytest.mark.slow
 @promise("theory/model_check: `lampest info` prints the entries as they stand in the scene")
 @pytest.mark.parametrize(
     ("readout", "dead_row"),

@@ -35,6 +35,17 @@ from lampest import (
 ROOT = Path(__file__).parents[2]
 CLEARLY_BETTER = 0.3  # error by the automatic weight over that by the published one
 MISFIT = [Misfit()]
+# Names whose examples run files, in processes of their own, or draw.
+WHOLE_RUNS = (
+    "CaseResult",
+    "Column",
+    "Results",
+    "comparison",
+    "export_results",
+    "plot_results",
+    "read_results",
+    "write_results",
+)
 NO_DATA = "gradient needs the term misfit: without it nothing reads what was measured"
 NO_RECORDING = "recording must be a Recording, such as Recording.load('mine.h5'), not "
 # What `reconstruct` is given, and what it says of it.
@@ -343,7 +354,11 @@ def test_errors_name_the_kind_of_a_file_and_a_missing_library(
 
 @pytest.mark.parametrize(
     "name",
-    [name for name in lampest.__all__ if name not in ("Array", "Weight", "UNLOADED", "MEASURED")],
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in WHOLE_RUNS))
+        for name in lampest.__all__
+        if name not in ("Array", "Weight", "UNLOADED", "MEASURED")
+    ],
 )
 def test_an_example_in_a_docstring_runs_after_import_lampest_alone(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -154,6 +154,7 @@ def test_numbers_that_a_recording_determines_are_information_and_no_warning(
         assert not re.search(r"^warning.*(gain|ripple)", ran.out + info, re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_info_states_the_numbers_of_single_modules_in_words(
     tmp_path: Path, lampest: Command
 ) -> None:
@@ -324,9 +325,17 @@ def test_commands_distinguish_recordings_from_results(starter: Path, lampest: Co
 @pytest.mark.parametrize(
     ("keys", "excluded"),
     [
-        ("kind: grounded, sense: one", "leak_ohm ends of idle columns readout.idle_load_ohm"),
-        ("kind: grounded, sense: one, driven: columns, idle_load_ohm: 25", "leak_ohm"),
-        ("kind: grounded, sense: all", "leak_ohm"),
+        pytest.param(
+            "kind: grounded, sense: one",
+            "leak_ohm ends of idle columns readout.idle_load_ohm",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "kind: grounded, sense: one, driven: columns, idle_load_ohm: 25",
+            "leak_ohm",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("kind: grounded, sense: all", "leak_ohm", marks=pytest.mark.slow),
         ("kind: two_point", "leak_ohm"),
     ],
 )

@@ -32,7 +32,7 @@ def errors_of(row: Row, load: str, seed: int) -> tuple[float, float]:
     return errors[0], errors[1]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("row", "load", "seeds", "ratio"),
     [

@@ -96,6 +96,7 @@ def test_rows_that_are_swapped_in_one_frame_are_named() -> None:
     assert sum(of_frame(seed, "keys", with_swapped_rows) for seed in range(12)) >= 7
 
 
+@pytest.mark.slow
 def test_all_rows_after_a_lost_reading_are_named() -> None:
     """Measured: 11 of 12, and 4 by the evidence of single rows."""
     assert sum(of_frame(seed, "keys", with_lost_reading) for seed in range(12)) >= 9

@@ -95,6 +95,7 @@ def test_readings_and_derivatives_with_a_shared_ground_are_those_of_a_netlist(na
     assert_allclose((sensitivity @ step.ravel()).reshape(SHAPE), difference, rtol=1e-4, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", ["estimated", pytest.param(GROUND_OHM, marks=pytest.mark.slow)])
 def test_a_named_ground_is_taken_off_and_the_circuit_explains_its_readings(
     stated: str | float,

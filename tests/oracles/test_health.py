@@ -80,7 +80,7 @@ def test_examples_of_init_raise_no_alarm(circuit: str, tmp_path: Path) -> None:
     assert table == tuple((room, WELL[room]) for room in ROOMS)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("circuit", CIRCUITS)
 def test_the_circuit_of_each_starter_explains_its_readings(circuit: str, tmp_path: Path) -> None:
     write_starter(tmp_path, circuit)
@@ -139,6 +139,7 @@ def test_faults_of_lines_and_cells_are_reported_with_their_line(
     assert len(lines) > MIN_UNEVEN and np.mean(lines) > share
 
 
+@pytest.mark.slow
 @promise(
     "theory/model_check: A frame that is called unloaded and has a load on a part of the panel"
 )
@@ -195,7 +196,7 @@ def test_what_moves_all_readings_of_unloaded_frames_is_no_load(kind: str) -> Non
         assert not len(loaded_frames(recording.scene, moved, recording.role == UNLOADED))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @promise("theory/model_check: Lines that repeat each other are named.")
 @pytest.mark.parametrize("pairs", [1, 2, 3, 4])
 def test_lines_that_repeat_each_other_are_named(pairs: int) -> None:
@@ -281,6 +282,7 @@ def in_wrong_order(shown: np.ndarray, order: Order) -> np.ndarray:
     return delivered.reshape(shown.shape)
 
 
+@pytest.mark.slow
 @promise("theory/model_check: Lines in another order are found where loads are smooth.")
 def test_lines_in_another_order_are_found_and_the_right_one_is_not_doubted() -> None:
     named: dict[str, list[bool]] = {}
@@ -405,6 +407,7 @@ def test_a_comb_is_questioned_with_what_to_record() -> None:
     assert "loads lie on every second column" in sentence and "press a spot" in sentence
 
 
+@pytest.mark.slow
 def test_the_order_of_isolated_cells_is_not_doubted() -> None:
     """Single cells far larger than the others stand side by side in another order by chance."""
     rng = np.random.default_rng(5)

@@ -62,7 +62,7 @@ def held(**keys: Any) -> DrivenReadout:
     return DrivenReadout(idle_ohm=0.0, adc_bits=12, readings=4, noise_lsb=0.7, **keys)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["auto", "nodal"])
 @pytest.mark.parametrize(("keys", "typical"), [(BEYOND, 2500.0), (BEFORE, 6600.0)])
 def test_the_panel_is_the_one_in_which_most_cells_stand_still(

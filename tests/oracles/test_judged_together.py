@@ -64,7 +64,7 @@ def test_a_large_memory_of_the_converter_is_advised(place: str) -> None:
     assert "converter_memory" in {line.partition(":")[0] for line in lines_of(remembering)}
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @promise("howto/error_bars: With `motion`, bars also hold loads that jitter within a scan.")
 @pytest.mark.parametrize("motion", ["estimated", 1.0])
 def test_bars_hold_a_load_that_jitters_within_a_scan(motion: str | float) -> None:
@@ -75,6 +75,7 @@ def test_bars_hold_a_load_that_jitters_within_a_scan(motion: str | float) -> Non
     assert 0.03 < Prepared(jitter).noise.motion.jitter < 0.12
 
 
+@pytest.mark.slow
 def test_bars_hold_a_load_whose_jitter_moves_most_cells() -> None:
     """No cells stood still without jitter, and 16 % were held."""
     jitter = recording(101, LOADS["jitter"], Row(), {"motion": 1.0})

@@ -136,6 +136,7 @@ def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluat
     return Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, data.start())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_products")
 @pytest.mark.parametrize(
     ("seed", "noise", "shape", "iterations", "crowd"),

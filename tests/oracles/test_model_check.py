@@ -305,6 +305,7 @@ def test_errors_beside_noise_are_not_tried_where_chi_square_stays_beyond_noise()
     assert not question.hopeless_with(np.full((4, 5, 5), 1000.0))
 
 
+@pytest.mark.slow
 def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None:
     """With 3 % of noise some cells of nearly every panel would have to be negative.
 
@@ -434,6 +435,7 @@ def test_a_converter_with_memory_is_named_with_its_number(scene: Scene, memory: 
     assert float(check.better.split()[-1]) == pytest.approx(memory, rel=MEMORY_ERROR)
 
 
+@pytest.mark.slow
 def test_a_memory_of_readings_that_are_taken_column_by_column_is_named() -> None:
     built: Any = replace(HOBBY.readout, scan_order="columns")
     check = Prepared(

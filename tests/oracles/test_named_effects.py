@@ -405,6 +405,7 @@ def test_a_load_that_moves_by_a_pitch_a_frame_is_advised_to_be_named() -> None:
     assert [finding.line for finding in audit.advice] == ["motion: estimated"]
 
 
+@pytest.mark.slow
 def test_bars_hold_channels_that_differ_by_more_than_usual() -> None:
     """With the usual 3 ohm, 56 % of the cells were within their error bars."""
     readout = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=4)

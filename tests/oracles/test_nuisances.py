@@ -150,6 +150,7 @@ def test_estimates_of_modules_are_corrected_and_their_detection_is_not() -> None
     np.testing.assert_array_equal(values, recording.readings().value[UNLOADED:])
 
 
+@pytest.mark.slow
 def test_an_ambiguous_contact_is_named_but_not_corrected() -> None:
     recording = panel(8, contact=(3, 200.0, 0), **ESTIMATED)
     prepared = Prepared(recording).effects

@@ -130,6 +130,7 @@ def test_soft_loads_on_cut_squares_leave_a_right_circuit_its_yes_and_say_what_th
     assert check.mark == "yes" and "they do not exclude leak_ohm: {rows: " in check.sentence
 
 
+@pytest.mark.slow
 def test_pull_downs_that_may_stay_are_named() -> None:
     random = np.random.default_rng(4)
     switched = DrivenReadout(

@@ -514,6 +514,7 @@ def warm_iterations(
     return np.array(iterations)[~lacks], np.array(iterations)[lacks]
 
 
+@pytest.mark.slow
 def test_warm_later_frames_at_10_by_10_take_three_iterations(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -181,6 +181,7 @@ def test_garbled_frames_do_not_hide_each_other(count: int) -> None:
     assert np.mean(found) > 0.9
 
 
+@pytest.mark.slow
 def test_a_frame_is_garbled_whose_neighbours_lost_the_same_rows() -> None:
     """Two of its four neighbours hid it: their scatter was that of random readings."""
     found = []

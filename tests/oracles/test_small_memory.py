@@ -139,6 +139,7 @@ def test_a_rough_palm_determines_no_memory(readout: Readout) -> None:
     assert isinstance(estimate, str) or (estimate[0] == 0 and estimate[1] > 0.02)
 
 
+@pytest.mark.slow
 def test_a_palm_shows_a_large_memory() -> None:
     """Films alike at rest and a smooth load tell it, though all cells changed."""
     row = Row(memory=0.16)

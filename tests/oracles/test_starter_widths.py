@@ -90,6 +90,7 @@ def test_the_shares_are_those_of_the_errors_alone(tmp_path: Path) -> None:
         assert fitted.deviation == pytest.approx(width.deviation, rel=0.3)
 
 
+@pytest.mark.slow
 def test_lines_of_a_starter_and_info_state_the_shares(tmp_path: Path) -> None:
     write_starter(tmp_path, "two_mux", SIDE, SIDE)
     scene = (tmp_path / "scene.yaml").read_text()

@@ -463,6 +463,7 @@ def test_several_deciding_frames_share_one_solved_baseline(
     assert len(begun) == 2
 
 
+@pytest.mark.slow
 def test_the_evidence_of_a_large_panel_draws_the_errors_of_each_estimate_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

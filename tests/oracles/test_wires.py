@@ -246,7 +246,7 @@ def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines
     )
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"]
 )

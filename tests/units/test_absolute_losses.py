@@ -155,6 +155,7 @@ def test_a_rejected_step_within_the_rounding_of_the_cost_is_not_shortened() -> N
     assert tried == [MAX_TRIES, 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("side", "weight", "most_steps"), HEAVY)
 def test_heavy_absolute_losses_take_few_steps(side: int, weight: float, most_steps: int) -> None:
     at = start((lampest.Misfit(weighting="noise"), lampest.TotalVariation(weight=weight)), side)

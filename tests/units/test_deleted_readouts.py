@@ -41,6 +41,7 @@ assert Audit(Prepared(recording)).verdict.mark == "yes"
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     [

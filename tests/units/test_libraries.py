@@ -99,6 +99,7 @@ def test_the_error_of_a_missing_library_names_its_extra_unlike_own_modules() -> 
             raise ModuleNotFoundError("no such module", name=name)
 
 
+@pytest.mark.slow
 def test_reports_lack_pictures_and_plots_name_the_extra_without_matplotlib(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -133,6 +133,7 @@ def test_estimated_it_has_a_prior_and_gets_its_number(tmp_path: Path) -> None:
     assert Prepared(recording).resolved.scene.estimated == {KEY: (size, deviation)}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("installed")
 def test_unnamed_it_is_advised(tmp_path: Path) -> None:
     off = simulated(tmp_path, SIZE)

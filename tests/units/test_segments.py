@@ -91,6 +91,7 @@ def test_workers_that_share_a_recording_change_no_number(
     assert not list((long.folder / "shared" / "cases").glob(".*")), "what counts frames is removed"
 
 
+@pytest.mark.slow
 def test_a_segment_depends_on_no_frame_before_it(long: SimpleNamespace) -> None:
     recording = lampest.Recording.load(long.folder / "long.h5")
     [case] = long_run(long).cases
@@ -166,6 +167,7 @@ def test_an_interrupt_keeps_the_first_finished_segments(long: SimpleNamespace) -
     assert set(case.status[count:]) == {"the run was broken off before this frame"}
 
 
+@pytest.mark.slow
 def test_a_segment_that_fails_fails_its_case_once(
     long: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -305,13 +305,13 @@ def scores(image: Array, noise: Array) -> Array:
     """
     reach = np.maximum(NOISE_REACH * noise, MIN_SHARE * np.abs(image).max())
     beyond = np.maximum(np.abs(image) - reach, 0.0)
-    usual = usual_size(beyond)
+    usual = image_unit(beyond)
     if not usual > 0:
         return np.zeros(image.shape)
     return np.asarray(np.tanh(np.sign(image) * beyond / usual))
 
 
-def usual_size(image: Array) -> float:
+def image_unit(image: Array) -> float:
     """Return c of the sizes of an image's changes, (rows, columns); 0 on fewer than MIN_COVERED."""
     second = [np.sort(image, axis=axis).take(-2, axis) for axis in (0, 1)]
     return float(min(np.sort(of_lines)[-MIN_COVERED] for of_lines in second))
@@ -374,7 +374,7 @@ def smoother_order(images: Array) -> SmootherOrder | None:
     def gains_of(order: Order) -> Array:
         in_order = flat[:, order.image]
         # Where a load covers few lines in an order, it is no image in that one either.
-        shown = np.array([usual_size(np.abs(image)) > 0 for image in in_order])
+        shown = np.array([image_unit(np.abs(image)) > 0 for image in in_order])
         return (as_specified - smooth_costs(in_order)) * shown
 
     gains = [*map(gains_of, tried)]

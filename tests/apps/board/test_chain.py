@@ -107,6 +107,7 @@ def test_a_file_names_clocks_numbers_and_events_of_its_frames(tmp_path: Path) ->
         assert file["entry/acquisition/lost"].attrs["units"] == b"1"
 
 
+@pytest.mark.slow
 def test_the_lines_of_the_example_match_the_panel(tmp_path: Path) -> None:
     cells = np.full((10, 10), 3000.0)
     cells[2, 7] = 300.0

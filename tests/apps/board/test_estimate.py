@@ -614,7 +614,7 @@ def test_the_command_writes_a_sketch_and_prints_its_accuracy(lamprey, tmp_path):
     assert "ends within 0.05 σ" in completed.output
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

@@ -147,6 +147,7 @@ def test_the_baseline_follows_a_drift_under_presses_that_come_and_go():
     assert np.abs(final - expected).max() < 2 * MAX_LEFT
 
 
+@pytest.mark.slow
 def test_unloaded_frames_of_a_drift_are_taken_up_by_the_baseline():
     scene, _, host = panel("grounded_one")
     sums = sums_of(scene, drifting(pressed_cells(scene)[0], FRAMES_OF_DRIFT)[::10])
@@ -254,6 +255,7 @@ def test_missing_readings_leave_the_other_cells_where_they_were(circuit, adc_bit
     assert np.median(moved) < MAX_MOVED
 
 
+@pytest.mark.slow
 def test_noise_below_single_precision_counts_as_its_rounding():
     sums, case, host = solved("two_point", adc_bits=24, readings=4)
     assert np.median(case.sigma_own) < ROUNDED / 10

@@ -200,6 +200,7 @@ def test_cells_of_lower_conductance_are_neither_a_contact_nor_explained() -> Non
     assert answer.answer == CANNOT_SAY
 
 
+@pytest.mark.slow
 def test_a_recording_and_its_results_give_detection_the_same(tmp_path: Path) -> None:
     """Results hold the mean of the unloaded frames, and readings without their own errors."""
     scene = Scene(Panel(4, 5, 10.0), TwoPointReadout(noise_lsb=0.7), 140.0)

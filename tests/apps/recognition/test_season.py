@@ -20,6 +20,7 @@ SEED = 7101
 FRAMES = 275
 
 
+@pytest.mark.slow
 def test_a_weak_mouth_that_leaves_beside_a_strong_one_has_its_own_end() -> None:
     """Its departure is a step of less than half of the stronger load."""
     season, water = drawn(SEED, rate=1.0)

@@ -37,6 +37,7 @@ def test_a_failed_command_is_no_measurement(tmp_path: Path) -> None:
         processor_seconds(("info", "absent.h5"), tmp_path)
 
 
+@pytest.mark.slow
 def test_the_libraries_alone_are_measured_without_the_package(tmp_path: Path) -> None:
     assert "lampest" not in command_times.LIBRARIES
     assert command_times.libraries_seconds(tmp_path) > 0.1
