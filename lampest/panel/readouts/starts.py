@@ -12,8 +12,7 @@ from lampest.panel.circuit import CircuitOfLines, nominal_terminations
 from lampest.panel.equation import Equation, equation_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import branches
-from lampest.panel.readouts.alternation import alternated_cells
-from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MAX_MISFIT, MIN_FOLD, misfit
+from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MIN_FOLD
 from lampest.panel.readouts.floating import convex_start, uniform_factor
 from lampest.panel.readouts.unseen import SolvableCircuit, unseen_scales
 
@@ -103,10 +102,9 @@ def start(
 ) -> Array:
     """Return cells that reproduce the readings, (rows, columns) ohm.
 
-    The search alternates between potentials and cells (`alternated_cells`). Where this moves away
-    or several panels give the same readings, Newton's method starts from uniform panels. Without
-    loads the equations of floating lines determine ratios of cells alone, and the start is the
-    uniform one.
+    Newton's method starts from the earlier estimate, or from the uniform panels of the readings.
+    Without loads the equations of floating lines determine ratios of cells alone, and the start is
+    the uniform one.
     """
     equation = _equation(circuit, measured)
     if equation.floating:
@@ -118,14 +116,6 @@ def start(
         firsts = [uniform_start(circuit, measured)]
     else:
         firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
-    if len(firsts) == 1 and equation.plain and np.isfinite(equation.load).all():
-        ties = circuit.ties(measured)
-        uniform = uniform_start(circuit, measured)
-        alternated = alternated_cells(equation, ties, equation.volt(measured), uniform, near)
-        cells = np.minimum(alternated, upper)
-        if misfit(circuit.network(cells, ties), positive) < MAX_MISFIT:
-            return cells
-        firsts.append(cells)
     panels = _panels_from(circuit, positive, firsts, upper)
     return panels[0][1] if panels else np.minimum(uniform_start(circuit, measured), upper)
 
