@@ -102,20 +102,18 @@ def start(
 ) -> Array:
     """Return cells that reproduce the readings, (rows, columns) ohm.
 
-    Newton's method starts from the earlier estimate, or from the uniform panels of the readings.
-    Without loads the equations of floating lines determine ratios of cells alone, and the start is
-    the uniform one.
+    Newton's method starts from the earlier estimate, from the uniform panels of the readings where
+    there are several, or from the uniform start. Without loads the equations of floating lines
+    determine ratios of cells alone, and the start is that of the convex function.
     """
     equation = _equation(circuit, measured)
     if equation.floating:
         return convex_start(apparent_resistance(circuit, measured), upper, near)
     positive = np.maximum(measured, OPEN_SHARE * measured.max())
-    if near is not None:
-        firsts = [near]
-    elif unseen_scales(circuit, *measured.shape):
-        firsts = [uniform_start(circuit, measured)]
-    else:
-        firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
+    firsts = [uniform_start(circuit, measured) if near is None else near]
+    if near is None and not unseen_scales(circuit, *measured.shape):
+        uniform = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
+        firsts = uniform if len(uniform) > 1 else firsts
     panels = _panels_from(circuit, positive, firsts, upper)
     return panels[0][1] if panels else np.minimum(uniform_start(circuit, measured), upper)
 
