@@ -16,7 +16,6 @@ the readout's equations. `Shared` has those of a scene together.
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,6 @@ from lampest.files.errors import InputError
 from lampest.files.typed import installed
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.response import TYPICAL_RESPONSE_SD
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, SIZED, Systematic, has_file, unit_of_key
@@ -157,28 +155,6 @@ class SharedEffect(ABC):
         return measured + np.tensordot(random.standard_normal(len(columns)), columns, 1)
 
 
-class ReadoutNumber(SharedEffect):
-    """Error of the reference or of channels, whose columns a readout has.
-
-    Attributes
-    ----------
-    over_reference, over_channel : float
-        Setting over the standard deviation of the reference's relative error, and of each line's
-        channel in ohm; infinite where the error has no part in them.
-    first : int
-        Number of its first column among those of `tolerance_errors`.
-    """
-
-    over_reference: float = np.inf
-    over_channel: float = np.inf
-    first: int = 0
-
-    def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
-        sizes = size / self.over_reference, size / self.over_channel
-        errors = tolerance_errors(scene.circuit, network.cell_resistance, measured, scene, *sizes)
-        return errors[self.first :]
-
-
 def shared_effects() -> tuple[SharedEffect, ...]:
     """Return all errors that frames may share, in the order of their columns.
 
@@ -212,15 +188,6 @@ def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
 
     The files of the others are not loaded.
     """
-    # a notebook may define a class again
-    return _sized_effects(sizes, tuple(SharedEffect.__subclasses__()) if sizes.own else ())
-
-
-@cache
-def _sized_effects(
-    sizes: Systematic, kinds: tuple[type[SharedEffect], ...]
-) -> tuple[SharedEffect, ...]:
-    """Return the errors of `sized_effects`, where these kinds are defined."""
     keys = dict.fromkeys((*SHARED, *(key for key, _ in sizes.own)))
     return tuple(shared_effect_of(key) for key in keys if sizes.entry(key) or key == REFERENCE)
 
