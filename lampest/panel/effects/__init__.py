@@ -69,8 +69,6 @@ class SharedEffect(ABC):
         Whether `systematic: typical` includes the error.
     is_advised : bool
         Whether advice searches for the error where the scene does not name it.
-    keeps_column : bool
-        Whether the error has a column of zeros where its size is 0.
     if_undetermined : str
         Why a recording with unloaded and loaded frames may not determine the size, and what to do.
 
@@ -91,7 +89,6 @@ class SharedEffect(ABC):
     prior: float | None = None
     is_typical: bool = False
     is_advised: bool = True
-    keeps_column: bool = False
     if_undetermined: str = (
         "the load changes all cells alike: press a few cells, and leave the others free"
     )
@@ -184,12 +181,12 @@ def shared_effects() -> tuple[SharedEffect, ...]:
 
 
 def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
-    """Return the errors with a size, and the reference, in the order of their columns.
+    """Return the errors with a size, in the order of their columns.
 
     The files of the others are not loaded.
     """
     keys = dict.fromkeys((*SHARED, *(key for key, _ in sizes.own)))
-    return tuple(shared_effect_of(key) for key in keys if sizes.entry(key) or key == REFERENCE)
+    return tuple(shared_effect_of(key) for key in keys if sizes.entry(key))
 
 
 def shared_effect_of(setting: str) -> SharedEffect:
@@ -220,7 +217,7 @@ def error_columns(
     parts = [np.zeros((0, *measured.shape))]
     for error in errors:
         size = sizes.size(error.setting)
-        if size or error.keeps_column:
+        if size:
             parts.append(error.columns(network, measured, scene, size))
     return np.concatenate(parts)
 

@@ -22,7 +22,6 @@ class ReferenceTolerance(SharedEffect):
     prior: float = 0.06
     is_typical = True
     is_advised = False
-    keeps_column = True
     if_undetermined = "no frame shows it; `lampest calibrate` measures it"
 
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
