@@ -6,7 +6,7 @@ from lampest.panel.effects import SharedEffect
 from lampest.panel.lines import MAX_OHM
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.tolerances import scene_behind_channels, tolerance_errors
+from lampest.panel.readouts.tolerances import channel_errors, scene_behind_channels
 from lampest.panel.scene import Scene
 
 # Resistance of a channel of a CD74HC4067 at 5 V, by its data sheet.
@@ -25,8 +25,7 @@ class ChannelSpread(SharedEffect):
 
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
         """Return a column for each line, rows first."""
-        cells = network.cell_resistance
-        return tolerance_errors(scene.circuit, cells, measured, scene, 0.0, size)[1:]
+        return channel_errors(scene.circuit, network.cell_resistance, measured, scene, size)
 
     def sentence(self, size: float, deviation: float) -> str:
         return f"channels of the lines seem to differ by {size:.2g} +- {deviation:.1g} ohm"

@@ -6,7 +6,7 @@ from lampest.panel.effects import SharedEffect
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.tolerances import off_by, tolerance_errors
+from lampest.panel.readouts.tolerances import off_by, reference_error
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import BELOW_ONE
 
@@ -27,7 +27,7 @@ class ReferenceTolerance(SharedEffect):
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
         """Return its column."""
         cells, deviation = network.cell_resistance, size / np.sqrt(3)
-        return tolerance_errors(scene.circuit, cells, measured, scene, deviation, 0.0)
+        return reference_error(scene.circuit, cells, measured, scene, deviation)[None]
 
     def drawn(self, circuit: Readout, size: float, random: np.random.Generator) -> Readout:
         """Return a circuit whose reference is off by a drawn error of at most `size`."""
