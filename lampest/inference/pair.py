@@ -39,7 +39,7 @@ from lampest.panel.effects import (
 )
 from lampest.panel.effects.line_effect import LineEffect
 from lampest.panel.panel import Array, Mask, Numbers
-from lampest.panel.readouts.tolerances import tolerance_errors
+from lampest.panel.readouts.tolerances import channel_errors
 from lampest.panel.trust_region import backtracked
 from lampest.recording.readings import Readings
 
@@ -107,8 +107,8 @@ class FittedPair:
         responses = []
         for fit in self.frames:
             circuit, value = fit.scene.circuit, fit.readings.value
-            errors = tolerance_errors(circuit, fit.cells, value, fit.scene, 0.0, 1.0)
-            responses.append(fit.response(errors[1:]))
+            errors = channel_errors(circuit, fit.cells, value, fit.scene, 1.0)
+            responses.append(fit.response(errors))
         return responses[1] - responses[0]
 
     @property

@@ -29,7 +29,7 @@ from lampest.panel.effects import (
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.tolerances import tolerance_errors
+from lampest.panel.readouts.tolerances import channel_errors
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.gaussian import forms_over_scales, lower_root
@@ -297,7 +297,7 @@ def _noise_with_channels(
     if fit is None or not np.any(channels_ohm):
         return [noise] * len(channels_ohm)
     cells = fit.network.cell_resistance
-    columns = tolerance_errors(scene.circuit, cells, resting.value, scene, 0.0, 1.0)[1:]
+    columns = channel_errors(scene.circuit, cells, resting.value, scene, 1.0)
     columns = (columns - columns.mean(axis=0))[:, resting.plain].T
     # Beside cells of little resistance large ones are moved most.
     moved = np.linalg.norm(fit.gain[:, resting.plain.ravel()] @ columns, axis=1).max()

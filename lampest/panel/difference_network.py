@@ -231,15 +231,11 @@ def excitations(admittance: Array, ties: Array) -> tuple[Array, Array]:
         K and P.
     """
     is_held = np.isinf(ties)
-    free = np.flatnonzero(~is_held)
-    held = np.flatnonzero(is_held)
-    within = np.linalg.inv(admittance[np.ix_(free, free)] + np.diag(ties[free]))
-    # Current into held lines from the free ones: −G = admittance between them
-    towards = admittance[np.ix_(held, free)]
-    between = -towards @ within
-    entries = np.empty_like(admittance)
-    entries[np.ix_(free, free)] = within
-    entries[np.ix_(held, free)] = between
-    entries[np.ix_(free, held)] = between.T
-    entries[np.ix_(held, held)] = -(admittance[np.ix_(held, held)] + between @ towards.T)
-    return entries, np.where(is_held, np.eye(len(ties)), entries)
+    both_free = ~(is_held | is_held[:, None])
+    between_free = np.where(both_free, admittance, 0.0)
+    within = np.linalg.inv(between_free + np.diag(np.where(is_held, 1.0, ties)))
+    # G of each held line, 0 of the others
+    towards = np.where(is_held[:, None] & ~is_held, -admittance, 0.0)
+    potentials = within + towards @ within
+    of_held = np.where(is_held[:, None], potentials @ towards.T - admittance, potentials.T)
+    return np.where(is_held, of_held, potentials), potentials

@@ -287,8 +287,6 @@ class SolvedNetwork(Network):
 
     def read_change(self, change: Entries) -> Array:
         """Return h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
-        if self.circuit is None:
-            return across(change)
         row, column, *others = (
             slope * part for slope, part in zip(self.slopes, change, strict=True)
         )
@@ -307,8 +305,6 @@ class SolvedNetwork(Network):
 
         Of two-point readings it is L_w, the Laplacian with the weights as conductances.
         """
-        if self.circuit is None:
-            return Loading(line_sums(weights), -weights)
         return loading_of(*(weights * slope for slope in self.slopes))
 
     def loaded(self, loading: Loading, values: Array) -> Array:

@@ -42,7 +42,13 @@ from lampest.panel.readouts.converter import (
 from lampest.panel.readouts.floating import common_step
 from lampest.panel.readouts.inequalities import least_cells, resolution
 from lampest.panel.readouts.starts import nearly_shorted
-from lampest.panel.readouts.tolerances import line_numbers, off_by, simulated, tolerance_errors
+from lampest.panel.readouts.tolerances import (
+    channel_errors,
+    line_numbers,
+    off_by,
+    reference_error,
+    simulated,
+)
 from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import OwnOfModule
 from lampest.panel.scene_file import scene_text
@@ -214,7 +220,12 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "sigma of codes": sigma_code(circuit),
         "averaged": averaged_variance(circuit, 0.4),
         "noise of variance": noise_of_variance(circuit, 0.02),
-        "shared": tolerance_errors(circuit, cells, value, scene, 0.01, 2.0),
+        "shared": np.concatenate(
+            [
+                reference_error(circuit, cells, value, scene, 0.01)[None],
+                channel_errors(circuit, cells, value, scene, 2.0),
+            ]
+        ),
         "off": off_by(circuit, 0.01),
         "numbers": line_numbers(circuit),
         "direction": nominal_terminations(circuit).sign,

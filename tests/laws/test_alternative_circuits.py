@@ -78,7 +78,7 @@ def test_the_effect_of_channels_is_that_of_one_simulation_for_each(circuit: Read
         - unchanged
         for line in np.eye(9)
     ]
-    several = channel_errors(circuit, cells, scene, 1.0)
+    several = channel_errors(circuit, cells, unchanged, scene, 1.0)
     np.testing.assert_allclose(several, one_by_one, atol=1e-9 * np.abs(several).max())
 
 

@@ -11,7 +11,7 @@ from lampest.inference.evidence import Field, FieldSizes
 from lampest.inference.pair import FittedPair
 from lampest.inference.unloaded_cells import film_scatter
 from lampest.panel.panel import Array
-from lampest.panel.readouts.tolerances import tolerance_errors
+from lampest.panel.readouts.tolerances import channel_errors
 
 SIDE = 5
 COUNT = SIDE**2
@@ -65,14 +65,13 @@ def joint_cost(pair: FittedPair, changed: Array) -> float:
     position = np.log(np.concatenate([fit.cells.ravel() for fit in pair.frames]) / 3000)
     channels = np.concatenate(
         [
-            tolerance_errors(
+            channel_errors(
                 fit.scene.circuit,
                 fit.cells,
                 fit.readings.value,
                 fit.scene,
-                0.0,
                 pair.channel_spread,
-            )[1:].reshape(2 * SIDE, COUNT)
+            ).reshape(2 * SIDE, COUNT)
             / fit.readings.known_sigma.ravel()
             for fit in pair.frames
         ],

@@ -38,7 +38,7 @@ from lampest.inference.number import mean_cost
 from lampest.inference.pair import FittedPair
 from lampest.inference.unloaded_cells import AtRest, most_probable_cells
 from lampest.panel.panel import Array, Mask
-from lampest.panel.readouts.tolerances import tolerance_errors
+from lampest.panel.readouts.tolerances import channel_errors
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import inverse_and_volume, misfit_and_volume
 
@@ -107,8 +107,8 @@ class LoadedDensity:
         ohm = np.exp(cells)
         readings = scene.circuit.exact_reading(ohm, scene.wiring)
         spread = self.pair.channel_spread
-        errors = tolerance_errors(scene.circuit, ohm, readings, scene, 0.0, spread)
-        return errors[1:].reshape(len(errors) - 1, -1).T
+        errors = channel_errors(scene.circuit, ohm, readings, scene, spread)
+        return errors.reshape(len(errors), -1).T
 
     @cached_property
     def _unchanged(self) -> Array:

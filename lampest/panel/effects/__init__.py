@@ -16,7 +16,6 @@ the readout's equations. `Shared` has those of a scene together.
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,6 @@ from lampest.files.errors import InputError
 from lampest.files.typed import installed
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.tolerances import tolerance_errors
 from lampest.panel.response import TYPICAL_RESPONSE_SD
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import ESTIMATED, SIZED, Systematic, has_file, unit_of_key
@@ -71,8 +69,6 @@ class SharedEffect(ABC):
         Whether `systematic: typical` includes the error.
     is_advised : bool
         Whether advice searches for the error where the scene does not name it.
-    keeps_column : bool
-        Whether the error has a column of zeros where its size is 0.
     if_undetermined : str
         Why a recording with unloaded and loaded frames may not determine the size, and what to do.
 
@@ -93,7 +89,6 @@ class SharedEffect(ABC):
     prior: float | None = None
     is_typical: bool = False
     is_advised: bool = True
-    keeps_column: bool = False
     if_undetermined: str = (
         "the load changes all cells alike: press a few cells, and leave the others free"
     )
@@ -157,28 +152,6 @@ class SharedEffect(ABC):
         return measured + np.tensordot(random.standard_normal(len(columns)), columns, 1)
 
 
-class ReadoutNumber(SharedEffect):
-    """Error of the reference or of channels, whose columns a readout has.
-
-    Attributes
-    ----------
-    over_reference, over_channel : float
-        Setting over the standard deviation of the reference's relative error, and of each line's
-        channel in ohm; infinite where the error has no part in them.
-    first : int
-        Number of its first column among those of `tolerance_errors`.
-    """
-
-    over_reference: float = np.inf
-    over_channel: float = np.inf
-    first: int = 0
-
-    def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
-        sizes = size / self.over_reference, size / self.over_channel
-        errors = tolerance_errors(scene.circuit, network.cell_resistance, measured, scene, *sizes)
-        return errors[self.first :]
-
-
 def shared_effects() -> tuple[SharedEffect, ...]:
     """Return all errors that frames may share, in the order of their columns.
 
@@ -208,21 +181,12 @@ def shared_effects() -> tuple[SharedEffect, ...]:
 
 
 def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
-    """Return the errors with a size, and the reference, in the order of their columns.
+    """Return the errors with a size, in the order of their columns.
 
     The files of the others are not loaded.
     """
-    # a notebook may define a class again
-    return _sized_effects(sizes, tuple(SharedEffect.__subclasses__()) if sizes.own else ())
-
-
-@cache
-def _sized_effects(
-    sizes: Systematic, kinds: tuple[type[SharedEffect], ...]
-) -> tuple[SharedEffect, ...]:
-    """Return the errors of `sized_effects`, where these kinds are defined."""
     keys = dict.fromkeys((*SHARED, *(key for key, _ in sizes.own)))
-    return tuple(shared_effect_of(key) for key in keys if sizes.entry(key) or key == REFERENCE)
+    return tuple(shared_effect_of(key) for key in keys if sizes.entry(key))
 
 
 def shared_effect_of(setting: str) -> SharedEffect:
@@ -253,7 +217,7 @@ def error_columns(
     parts = [np.zeros((0, *measured.shape))]
     for error in errors:
         size = sizes.size(error.setting)
-        if size or error.keeps_column:
+        if size:
             parts.append(error.columns(network, measured, scene, size))
     return np.concatenate(parts)
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from lampest.panel.effects import ReadoutNumber
+from lampest.panel.effects import SharedEffect
 from lampest.panel.lines import MAX_OHM
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.tolerances import scene_behind_channels
+from lampest.panel.readouts.tolerances import channel_errors, scene_behind_channels
 from lampest.panel.scene import Scene
 
 # Resistance of a channel of a CD74HC4067 at 5 V, by its data sheet.
@@ -14,7 +15,7 @@ TYPICAL_OHM = 70.0
 WORST_OHM = 160.0
 
 
-class ChannelSpread(ReadoutNumber):
+class ChannelSpread(SharedEffect):
     """An additional resistance in the channel of each line."""
 
     setting = "channel_spread_ohm"
@@ -22,8 +23,9 @@ class ChannelSpread(ReadoutNumber):
     limits = (0.0, MAX_OHM)
     prior: float = 3.0  # CD74HC4067, data sheet: any two channels differ by 10 ohm
 
-    over_channel = 1.0
-    first = 1
+    def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
+        """Return a column for each line, rows first."""
+        return channel_errors(scene.circuit, network.cell_resistance, measured, scene, size)
 
     def sentence(self, size: float, deviation: float) -> str:
         return f"channels of the lines seem to differ by {size:.2g} +- {deviation:.1g} ohm"

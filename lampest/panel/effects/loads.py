@@ -1,18 +1,15 @@
 """Load or feedback resistors that differ from line to line."""
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.effects import E24_TOLERANCE, SharedEffect
-from lampest.panel.lines import Side, along, opposite, per_line
+from lampest.panel.lines import Side, along, opposite
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Shape
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.keys import entry
-from lampest.panel.readouts.tolerances import tolerance_errors
+from lampest.panel.readouts.tolerances import off_by, reference_error
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import BELOW_ONE
 
@@ -38,17 +35,14 @@ class LoadTolerance(SharedEffect):
         resistors = resistors_of(circuit, measured.shape[-2:])
         deviation = size / np.sqrt(3)
         if circuit.unit == "ohm":
-            together = tolerance_errors(circuit, cells, measured, scene, deviation, 0.0)[0]
+            together = reference_error(circuit, cells, measured, scene, deviation)
             errors = [together * along(sensed_side(circuit), lines) for lines in resistors]
         else:
             unchanged = circuit.exact_reading(cells, scene.wiring)
-            name = circuit.of_sensed[0]
-            errors = []
-            for lines in resistors:
-                ohm = per_line(name, getattr(circuit, name), len(lines))
-                changes: dict[str, Any] = {name: tuple((ohm * (1 + deviation * lines)).tolist())}
-                actual = replace(circuit, **changes)
-                errors.append(actual.exact_reading(cells, scene.wiring) - unchanged)
+            errors = [
+                off_by(circuit, deviation * lines).exact_reading(cells, scene.wiring) - unchanged
+                for lines in resistors
+            ]
         return np.array(errors).reshape(-1, *measured.shape)
 
 

@@ -2,13 +2,16 @@
 
 import numpy as np
 
-from lampest.panel.effects import ReadoutNumber
+from lampest.panel.effects import SharedEffect
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.tolerances import off_by
+from lampest.panel.readouts.tolerances import off_by, reference_error
+from lampest.panel.scene import Scene
 from lampest.panel.sizes import BELOW_ONE
 
 
-class ReferenceTolerance(ReadoutNumber):
+class ReferenceTolerance(SharedEffect):
     """Relative error of the reference; `size` is the half width of a uniform distribution."""
 
     setting = "reference_tolerance"
@@ -19,10 +22,12 @@ class ReferenceTolerance(ReadoutNumber):
     prior: float = 0.06
     is_typical = True
     is_advised = False
-    keeps_column = True
     if_undetermined = "no frame shows it; `lampest calibrate` measures it"
 
-    over_reference = float(np.sqrt(3))
+    def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
+        """Return its column."""
+        cells, deviation = network.cell_resistance, size / np.sqrt(3)
+        return reference_error(scene.circuit, cells, measured, scene, deviation)[None]
 
     def drawn(self, circuit: Readout, size: float, random: np.random.Generator) -> Readout:
         """Return a circuit whose reference is off by a drawn error of at most `size`."""

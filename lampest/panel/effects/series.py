@@ -6,7 +6,7 @@ from lampest.panel.effects import SharedEffect
 from lampest.panel.lines import MAX_OHM, of_side
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.tolerances import scene_behind_channels, tolerance_errors
+from lampest.panel.readouts.tolerances import channel_errors, scene_behind_channels
 from lampest.panel.scene import Scene
 
 
@@ -25,8 +25,8 @@ class SeriesTolerance(SharedEffect):
     def columns(self, network: Network, measured: Array, scene: Scene, size: float) -> Array:
         """Return its column."""
         circuit = scene.circuit
-        errors = tolerance_errors(circuit, network.cell_resistance, measured, scene, 0.0, 1.0)
-        driven, _ = of_side(circuit.noisy_side, *np.split(errors[1:], [measured.shape[-2]]))
+        errors = channel_errors(circuit, network.cell_resistance, measured, scene, 1.0)
+        driven, _ = of_side(circuit.noisy_side, *np.split(errors, [measured.shape[-2]]))
         return np.asarray(size * driven.sum(axis=0)[None])
 
     def with_errors(self, scene: Scene, errors: Array) -> Scene:

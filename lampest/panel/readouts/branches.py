@@ -83,7 +83,10 @@ def misfit(solved: Network, measured: Array) -> float:
 
 
 def panels_alike(
-    network: Callable[[Array], Network], measured: Array, firsts: Sequence[Array], upper: Array
+    network: Callable[[Array], Network],
+    measured: Array,
+    firsts: Sequence[Array],
+    upper: Array | float,
 ) -> list[tuple[float, Array]]:
     """Return the panels that give the readings, the most probable one first.
 
@@ -97,7 +100,7 @@ def panels_alike(
         Positive readings.
     firsts : sequence of array, shape (rows, columns)
         Cells at which the searches begin, ohm.
-    upper : array, shape (rows, columns)
+    upper : float or array, shape (rows, columns)
         Largest resistances, ohm.
 
     Returns

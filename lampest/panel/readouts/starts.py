@@ -12,8 +12,7 @@ from lampest.panel.circuit import CircuitOfLines, nominal_terminations
 from lampest.panel.equation import Equation, equation_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import branches
-from lampest.panel.readouts.alternation import alternated_cells
-from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MAX_MISFIT, MIN_FOLD, misfit
+from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MIN_FOLD
 from lampest.panel.readouts.floating import convex_start, uniform_factor
 from lampest.panel.readouts.unseen import SolvableCircuit, unseen_scales
 
@@ -103,30 +102,17 @@ def start(
 ) -> Array:
     """Return cells that reproduce the readings, (rows, columns) ohm.
 
-    The search alternates between potentials and cells (`alternated_cells`). Where this moves away
-    or several panels give the same readings, Newton's method starts from uniform panels. Without
-    loads the equations of floating lines determine ratios of cells alone, and the start is the
-    uniform one.
+    Newton's method starts from the earlier estimate, from the uniform panels of the readings where
+    there are several, or from the uniform start. Without loads the equations of floating lines
+    determine ratios of cells alone, and the start is that of the convex function.
     """
     equation = _equation(circuit, measured)
     if equation.floating:
         return convex_start(apparent_resistance(circuit, measured), upper, near)
-    positive = np.maximum(measured, OPEN_SHARE * measured.max())
-    if near is not None:
-        firsts = [near]
-    elif unseen_scales(circuit, *measured.shape):
-        firsts = [uniform_start(circuit, measured)]
-    else:
-        firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
-    if len(firsts) == 1 and equation.plain and np.isfinite(equation.load).all():
-        ties = circuit.ties(measured)
-        uniform = uniform_start(circuit, measured)
-        alternated = alternated_cells(equation, ties, equation.volt(measured), uniform, near)
-        cells = np.minimum(alternated, upper)
-        if misfit(circuit.network(cells, ties), positive) < MAX_MISFIT:
-            return cells
-        firsts.append(cells)
-    panels = _panels_from(circuit, positive, firsts, upper)
+    panels = uniform_branches(circuit, measured, upper) if near is None else []
+    if not panels:
+        first = uniform_start(circuit, measured) if near is None else near
+        panels = _panels_from(circuit, measured, [first], upper)
     return panels[0][1] if panels else np.minimum(uniform_start(circuit, measured), upper)
 
 
@@ -188,7 +174,7 @@ def panels_beyond_folds(
     """
     if measured.size > MAX_CELLS or not several_panels(circuit, *measured.shape):
         return []
-    positive = np.maximum(measured, OPEN_SHARE * np.nanmax(measured))
+    positive = _positive(measured)
     uniform = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
     return branches.every_panel(
         lambda cells: circuit.network(cells, circuit.ties(measured)),
@@ -200,27 +186,36 @@ def panels_beyond_folds(
     )
 
 
-def uniform_branches(circuit: SolvableCircuit, measured: Array) -> list[tuple[float, Array]]:
+def uniform_branches(
+    circuit: SolvableCircuit, measured: Array, upper: Array | float = np.inf
+) -> list[tuple[float, Array]]:
     """Return the panels that give readings, the most probable one first.
 
-    A panel is ln p and cells (rows, columns) ohm. The list is empty where uniform panels give the
-    median reading with one resistance alone; see `lampest.panel.readouts.branches`.
+    A panel is ln p and cells (rows, columns) of at most `upper` ohm. The list is empty where
+    uniform panels give the median reading with one resistance alone; see
+    `lampest.panel.readouts.branches`.
     """
     if _equation(circuit, measured).floating or unseen_scales(circuit, *measured.shape):
         return []
-    positive = np.maximum(measured, OPEN_SHARE * measured.max())
-    firsts = branches.uniform_panels(log_medians(circuit, *measured.shape), positive)
-    if len(firsts) == 1:
-        return []
-    return _panels_from(circuit, positive, firsts, np.full(measured.shape, np.inf))
+    medians = log_medians(circuit, *measured.shape)
+    firsts = branches.uniform_panels(medians, _positive(measured))
+    return _panels_from(circuit, measured, firsts, upper) if len(firsts) > 1 else []
+
+
+def _positive(measured: Array) -> Array:
+    """Return readings whose logarithms are finite, those that are NaN excepted."""
+    return np.maximum(measured, OPEN_SHARE * np.nanmax(measured))
 
 
 def _panels_from(
-    circuit: SolvableCircuit, measured: Array, firsts: Sequence[Array], upper: Array
+    circuit: SolvableCircuit, measured: Array, firsts: Sequence[Array], upper: Array | float
 ) -> list[tuple[float, Array]]:
     """Return the panels that give the readings, as `uniform_branches`, from the first ones."""
     return branches.panels_alike(
-        lambda cells: circuit.network(cells, circuit.ties(measured)), measured, firsts, upper
+        lambda cells: circuit.network(cells, circuit.ties(measured)),
+        _positive(measured),
+        firsts,
+        upper,
     )
 
 

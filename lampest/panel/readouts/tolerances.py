@@ -24,8 +24,8 @@ from lampest.panel.scene import Scene
 Circuit = TypeVar("Circuit", bound=Readout)
 
 
-def off_by(circuit: Circuit, fraction: float) -> Circuit:
-    """Return the circuit with every reference resistor larger by a fraction.
+def off_by(circuit: Circuit, fraction: float | Array) -> Circuit:
+    """Return the circuit with every reference resistor larger by a fraction, or by one each.
 
     The circuit itself is returned if its kind has no such key.
     """
@@ -33,8 +33,8 @@ def off_by(circuit: Circuit, fraction: float) -> Circuit:
     value = entry(circuit, name)
     if value is None:
         return circuit
-    larger = tuple(number * (1 + fraction) for number in as_tuple(value))
-    changes: dict[str, Any] = {name: larger if isinstance(value, tuple) else larger[0]}
+    larger = np.array(value) * (1 + fraction)
+    changes: dict[str, Any] = {name: tuple(larger.tolist()) if larger.ndim else float(larger)}
     return replace(circuit, **changes)
 
 
@@ -92,64 +92,39 @@ def simulated(
     return circuit.to_recorded(_reading_behind(circuit, cells, scene, row_ohm, column_ohm), scene)
 
 
-def tolerance_errors(
-    circuit: Readout,
-    cells: Array,
-    measured: Array,
-    scene: Scene,
-    reference: float,
-    channel: float,
+def reference_error(
+    circuit: Readout, cells: Array, measured: Array, scene: Scene, fraction: float
 ) -> Array:
-    """Return the effect of shared errors on the readings, as secants of the model.
+    """Return the effect of a relative error of the reference resistor on the readings.
 
-    Parameters
-    ----------
-    circuit : Readout
-    cells : array, shape (rows, columns)
-        Estimate in ohm.
-    measured : array, same shape
-        Its readings; with two-point readouts also (…, rows, columns) of many panels.
-    scene : Scene
-    reference : float
-        Relative error of the reference resistor, see `off_by`.
-    channel : float
-        Error of one line's channel in ohm, see `simulated`.
-
-    Returns
-    -------
-    array, shape (1 + rows + columns, …, rows, columns), or (1, …, rows, columns) without `channel`
-        Effect of the reference, then of the channel of each line, rows first. That of a reference
-        on resistances is −(R + R_series)·reference.
+    The effect is a secant of the model; see `off_by`. On resistances it is
+    −(R + R_series)·fraction. `measured` are the readings of the cells, with two-point readouts also
+    (…, rows, columns) of many panels; the result has their shape.
     """
-    errors = np.zeros((1, *measured.shape))
     if circuit.unit == "ohm":
-        errors[0] = -(measured + scene.series_ohm) * reference
-    elif reference:
-        changed = off_by(circuit, reference).exact_reading(cells, scene.wiring)
-        errors[0] = changed - circuit.exact_reading(cells, scene.wiring)
-    if not channel:
-        return errors
-    if not circuit.two_point:
-        return np.concatenate([errors, channel_errors(circuit, cells, scene, channel)])
-    rows, columns = measured.shape[-2:]
-    lines = np.zeros((rows + columns, *measured.shape))
-    np.einsum("j...jk->j...k", lines[:rows])[...] = channel
-    np.einsum("k...jk->k...j", lines[rows:])[...] = channel
-    return np.concatenate([errors, lines])
+        return -(measured + scene.series_ohm) * fraction
+    changed = off_by(circuit, fraction).exact_reading(cells, scene.wiring)
+    return changed - circuit.exact_reading(cells, scene.wiring)
 
 
-def channel_errors(circuit: Readout, cells: Array, scene: Scene, channel: float) -> Array:
-    """Return the effect of each line's channel on the readings, rows first.
+def channel_errors(
+    circuit: Readout, cells: Array, measured: Array, scene: Scene, channel: float
+) -> Array:
+    """Return the effect of `channel` ohm more in each line's channel on the readings, rows first.
 
-    Shape (rows + columns, rows, columns). Where idle driven lines are not connected through their
-    channels, the channel of a driven line changes the readings of this line alone, so that one
-    network shows all of them.
+    Shape (rows + columns, …, rows, columns), for cells and readings as those of `reference_error`;
+    see `simulated`. Where idle driven lines are not connected through their channels, the channel
+    of a driven line changes the readings of this line alone, so that one network shows all of them.
     """
-    rows = len(cells)
-    lines = np.eye(sum(cells.shape))
+    rows, columns = measured.shape[-2:]
+    errors = np.zeros((rows + columns, *measured.shape))
+    if circuit.two_point:
+        np.einsum("j...jk->j...k", errors[:rows])[...] = channel
+        np.einsum("k...jk->k...j", errors[rows:])[...] = channel
+        return errors
+    lines = np.eye(len(errors))
     side = nominal_terminations(circuit).driven
     driven, sensed = of_side(side, *np.split(np.arange(len(lines)), [rows]))
-    errors = np.zeros((len(lines), *cells.shape))
     unchanged = circuit.exact_reading(cells, scene.wiring)
 
     def error(chosen: Array) -> Array:
