@@ -112,6 +112,8 @@ def start(
     panels = uniform_branches(circuit, measured, upper) if near is None else []
     if not panels:
         first = uniform_start(circuit, measured) if near is None else near
+        if near is None and by_uniform_panels(circuit, measured):
+            first = np.full(measured.shape, np.median(first))
         panels = _panels_from(circuit, measured, [first], upper)
     return panels[0][1] if panels else np.minimum(uniform_start(circuit, measured), upper)
 
