@@ -53,6 +53,16 @@ def gain_of(recording: Recording) -> float:
     return memory_gain(question, question.explanation)
 
 
+def test_a_panel_without_a_load_tells_no_memory() -> None:
+    """A fine converter, beside whose noise the assumed creep of cells is large."""
+    fine = LoadedColumnsReadout(load_ohm=3300, drive_ohm=1080, adc_bits=16, readings=20)
+    generator = np.random.default_rng(3)
+    film = 3000 * np.exp(0.3 * generator.standard_normal((1, 8, 8)))
+    unloaded = recording_of(fine, np.repeat(film, 2 * FRAMES, axis=0), 0.0, generator)
+    assert gain_of(unloaded) == 0.0
+    assert estimated_memory(unloaded) == "no frame is loaded: press a few cells"
+
+
 def pressed_mat(memory: float) -> Recording:
     generator = np.random.default_rng(7)
     cells = np.repeat(2000 * np.exp(0.1 * generator.standard_normal((1, 8, 8))), 2 * FRAMES, axis=0)

@@ -57,6 +57,8 @@ def estimated_memory(recording: Recording) -> tuple[float, float] | str:
     plain = replace(recording, scene=replace(recording.scene, converter_memory=None))
     frames = ComparedFrames.of(plain, np.zeros(recording.recorded.shape, dtype=bool))
     tried = _explanations(frames, MEMORIES)
+    if tried[0] is not None and tried[0].pair is not None and not tried[0].pair.has_load:
+        return "no frame is loaded: press a few cells"
     best = float(MEMORIES[np.argmin([_cost(explanation) for explanation in tried])])
     step = float(MEMORIES[1])
     shares = np.linspace(max(best - step, 0.0), max(best, step) + step, FINER)
@@ -89,6 +91,9 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
         Explanation of these frames without a memory.
     """
     if frames.specified.scene.readout is None or without is None or without.pair is None:
+        return 0.0
+    # Cells without a load creep less than is assumed, and cells that answer more gain by that.
+    if not without.pair.has_load:
         return 0.0
     # Only where noise does not give the misfit without a memory, it counts with one. Under a wrong
     # circuit that takes long, and linear theory promises nothing.
