@@ -375,7 +375,7 @@ def smoother_order(images: Array) -> SmootherOrder | None:
         in_order = flat[:, order.image]
         # Where a load covers few lines in an order, it is no image in that one either.
         shown = np.array([image_unit(np.abs(image)) > 0 for image in in_order])
-        return (as_specified - smooth_costs(in_order)) * shown
+        return np.asarray((as_specified - smooth_costs(in_order)) * shown)
 
     gains = [*map(gains_of, tried)]
     several = several_exchanges(tried, np.sum(gains, axis=1))
