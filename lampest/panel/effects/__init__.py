@@ -16,6 +16,7 @@ the readout's equations. `Shared` has those of a scene together.
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -185,6 +186,15 @@ def sized_effects(sizes: Systematic) -> tuple[SharedEffect, ...]:
 
     The files of the others are not loaded.
     """
+    # a notebook may define a class again
+    return _sized_effects(sizes, tuple(SharedEffect.__subclasses__()) if sizes.own else ())
+
+
+@cache
+def _sized_effects(
+    sizes: Systematic, kinds: tuple[type[SharedEffect], ...]
+) -> tuple[SharedEffect, ...]:
+    """Return the errors of `sized_effects`, where these kinds are defined."""
     keys = dict.fromkeys((*SHARED, *(key for key, _ in sizes.own)))
     return tuple(shared_effect_of(key) for key in keys if sizes.entry(key))
 
