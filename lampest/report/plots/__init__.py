@@ -54,6 +54,8 @@ PLOTS: tuple[Plot, ...] = (
     SweepPlot(),
 )
 
+FOLDER = "choose a recording, or name a folder"
+
 
 def plot_of(kind: str) -> Plot:
     """Return the plot of a kind, of lampest or an installed package.
@@ -120,10 +122,7 @@ def plot_results(
     drawn = _drawn(path, results, plot)
     if single and len(drawn) > 1:
         names = ", ".join([*drawn][:3]) + ", …" * (len(drawn) > 3)
-        raise InputError(
-            f"{target}: one picture cannot hold {len(drawn)} ({names}): "
-            "choose a recording, or name a folder"
-        )
+        raise InputError(f"{target}: one picture cannot hold {len(drawn)} ({names}): {FOLDER}")
     ending = "" if frame is None else f"_frame{frame}"
     files = [target if single else target / f"{plot.kind}_{name}{ending}.png" for name in drawn]
     return write_all([*drawn.values()], files, on_picture, in_process=isinstance(show, Plot))
