@@ -64,6 +64,8 @@ class Attachment:
         Times at which it moved, s.
     placed_s : float
         Time since which it is in its place, s.
+    looks : int
+        Number of recognitions that show it.
     small : bool
         Whether it is so small that no cell would show that it sucks.
     clear : float
@@ -90,6 +92,7 @@ class Attachment:
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
     placed_s: float = -inf
+    looks: int = 1
     small: bool = False
     clear: float = 0.0
     track: Pumping | None = None
@@ -263,6 +266,7 @@ class Attachment:
         return replace(
             later,
             since_s=self.since_s,
+            looks=self.looks + 1,
             sucks_s=later.since_s if begins_to_suck else self.sucks_s,
             moved_s=(*self.moved_s, *([later.since_s] * moves)),
             placed_s=later.since_s if moves else self.placed_s,
@@ -429,18 +433,23 @@ def _judged(load: Attachment, verdict: Verdict) -> Attachment:
 def _contacts(frame: Observation) -> list[Mask]:
     """Return the cells of the contacts without which the readings are not explained.
 
-    The misfit rises by more than SIGNIFICANT² where the cells of such a contact are as at rest and
-    all others are free. The test is a likelihood ratio: where a load lowers the sensitivity, as
-    with large pull-ups, the standard deviation of a pressed cell does not show whether it is
-    pressed.
+    The misfit rises by more than SIGNIFICANT² where the cells of such a contact are as the level
+    of the water has them, to the unevenness of films, and all others are free. The test is a
+    likelihood ratio: where a load lowers the sensitivity, as with large pull-ups, the standard
+    deviation of a pressed cell does not show whether it is pressed.
     """
-    sd = np.hypot(frame.mean_sd, frame.drift_sd)
+    level = frame.common_change()
+    uneven = np.diag(level.uneven).reshape(frame.measured.shape)
+    sd = np.sqrt(frame.mean_sd**2 + frame.drift_sd**2 + uneven)
     least = frame.free.misfit + SIGNIFICANT**2
-    return [
-        group
-        for group in contacts_of(frame.panel, frame.free_map, sd)
-        if frame.cells(frame.free_map * ~group, 1.0 - group.ravel()).misfit > least
-    ]
+
+    def misfit(group: Mask) -> float:
+        start = np.where(group, level.mean, frame.free_map)
+        variances = np.where(group, uneven, 1.0).ravel()
+        return frame.cells(start, variances, level.mean * group).misfit
+
+    groups = contacts_of(frame.panel, frame.free_map - level.mean, sd)
+    return [group for group in groups if misfit(group) > least]
 
 
 def _touching(panel: Panel, contacts: Sequence[Mask]) -> list[Mask]:
@@ -485,7 +494,8 @@ def continued_by(
         Returns whether the cells of an attachment show it no more.
     again : bool
         Whether it is a repeated recognition since that step. Nothing leaves without a step, but
-        attachments that arrived with it may have been parts of a load, or nothing.
+        attachments that arrived with it may have been parts of a load, or nothing: that were
+        recognised once.
     """
     attachments = list(before)
     unmatched = [number for number, load in enumerate(before) if load.present]
@@ -510,7 +520,9 @@ def continued_by(
             attachments.append(load)
     for number in reversed(unmatched):
         load = attachments[number]
-        if again and load.since_s >= time and (has_left(load) or any(map(load.adjoins, loads))):
+        new = again and load.since_s >= time
+        nothing = load.looks == 1 and has_left(load)
+        if new and (nothing or any(map(load.adjoins, loads))):
             del attachments[number]
         elif again or not has_left(load):
             attachments[number] = load.beside(frame)

@@ -18,7 +18,7 @@ from scipy.special import expit, logsumexp
 
 from lampest.apps.recognition.disc_search import DiscSearch
 from lampest.apps.recognition.hypotheses import EVIDENCE_SHARE
-from lampest.apps.recognition.mouth_model import UNEVENNESS, SuckingDisc
+from lampest.apps.recognition.mouth_model import SuckingDisc
 from lampest.apps.recognition.observation import Observation, Whitening, alone, outliers
 from lampest.apps.recognition.suction import MIN_RISE, suctions
 from lampest.files.levels import MAX_MEAN_SQUARE, NOISE_REACH, SIGNIFICANT
@@ -89,25 +89,10 @@ class CellsUnderPrior:
 
 
 def without_load(frame: Observation) -> list[CellsUnderPrior]:
-    """Return the explanations by no load, and by a common change of all cells.
-
-    In air that is a drift, which is equal in all of them. Under water it is a level, the pressure
-    that most cells show, to which films respond differently.
-    """
-    cells = frame.measured.size
+    """Return the explanations by no load, and by a common change of all cells."""
+    level = frame.common_change()
+    common = UNIFORM_SD**2 * np.outer(level.unit, level.unit) + level.uneven
     start = np.zeros(frame.measured.shape)
-    unit: Array = np.ones(cells)
-    uneven: Array | float = 0.0
-    if frame.water.any():
-        response = frame.baseline.response
-        at_rest = response.logarithm(frame.water)
-        pressures = response.pressure(at_rest + frame.free_map / response.gains) - frame.water
-        level = np.full(start.shape, np.median(pressures[frame.panel.present]))
-        change, _ = frame.change(level)
-        unit = change.ravel() / max(np.abs(np.median(change)), np.finfo(float).tiny)
-        film, _ = frame.baseline.film_parts(np.stack([change, start, start]))
-        uneven = (UNEVENNESS * frame.baseline.model_errors.response) ** 2 * film
-    common = UNIFORM_SD**2 * np.outer(unit, unit) + uneven
     return [CellsUnderPrior.of(frame, start, each) for each in (np.zeros_like(common), common)]
 
 
@@ -256,6 +241,31 @@ def relieved_by_departure(verdict: Verdict) -> bool:
     before = frame.baseline.logarithm - np.median(frame.baseline.logarithm[intact])
     after = before + frame.free_map
     return bool(np.sum(after[changed] ** 2) < MAX_REMAINING * np.sum(before[changed] ** 2))
+
+
+def is_as_before(verdict: Verdict, earlier: Array) -> bool:
+    """Return whether the panel rather is as it was without a load at an earlier time.
+
+    A load that settles slowly, or is so weak that it is no step, becomes a part of the baseline,
+    from which the panel differs when it leaves. The changed cells have less than MAX_REMAINING of
+    their sum of squares then, if they are compared with the panel before that load. A change that
+    all cells share does not count.
+
+    Parameters
+    ----------
+    verdict : Verdict
+    earlier : array, shape (rows, columns)
+        ln r of the panel without a load at the earlier time.
+    """
+    frame = verdict.frame
+    intact = frame.panel.present & ~frame.baseline.scene.broken
+    changed = intact & (verdict.changed != 0)
+    before = frame.free_map + frame.baseline.logarithm - earlier
+    squares = [
+        np.sum((change - np.median(change[intact & ~changed]))[changed] ** 2)
+        for change in (frame.free_map, before)
+    ]
+    return bool(squares[1] < MAX_REMAINING * squares[0])
 
 
 class Detector(NamedTuple):

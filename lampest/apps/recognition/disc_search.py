@@ -5,7 +5,7 @@ with the change that a disc at each place would cause. Errors of an unloaded pan
 first, so that drift and changes of all cells are no steps.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations, product
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from scipy.sparse import csc_array, csr_array, diags_array, vstack
 
 from lampest.apps.recognition.mouth_model import EVEN, pressure_at_places
 from lampest.apps.recognition.observation import Observation, Whitening
-from lampest.files.levels import MAD_TO_SIGMA, OUTLIER_THRESHOLD, SIGNIFICANT
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANT
 from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.response import RESPONSE_SD
 from lampest.recording.shapes.disc import Disc
@@ -220,6 +220,15 @@ class StepTest:
         largest = np.zeros(len(self.near))
         np.maximum.at(largest, self.places, self.scores(change))
         return np.asarray(np.where(self.near, largest, 0.0).max(axis=1)[self.places])
+
+    def after(self, scores: Array, share: float) -> "StepTest":
+        """Return the test after the scores, (discs,), of a frame without a load.
+
+        v_k² is a running mean; a score counts up to NOISE_REACH v_k, so that a change which is just
+        no step does not hide the next one. `share` is the weight of the frame.
+        """
+        square = np.minimum(scores**2, NOISE_REACH**2 * np.maximum(self.loud, 1.0))
+        return replace(self, loud=self.loud + share * (square - self.loud))
 
     def least(self) -> Array:
         """Return the thresholds of the scores, OUTLIER_THRESHOLD·v_k, (discs,)."""

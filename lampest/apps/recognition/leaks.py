@@ -2,8 +2,8 @@
 
 Water between two lines makes all cells of both seem to conduct more, from one end of the panel to
 the other, which no load does. The cells' changes d = ln r/r0 under loads of any form have the
-spike-and-slab prior of `lampest.inference.evidence`. A leak of the conductance θ adds a θ to d
-of still cells, with
+spike-and-slab prior of `lampest.inference.evidence`, beside a drift or a level that all share. A
+leak of the conductance θ adds a θ to d of still cells, with
 
     a = K (∂f/∂θ),
 
@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lampest.apps.recognition.detector import UNIFORM_SD
 from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import MIN_EVIDENCE_GAIN, NOISE_REACH
 from lampest.inference.assumptions import ASSUMED
@@ -45,7 +46,9 @@ def leaks_of(frame: Observation) -> Leaks | None:
     known = frame.baseline.leaks
     # Further leaks are between lines of which MIN_FALLEN of the cells have fallen.
     panel = frame.panel
-    fallen = panel.present & (frame.free_map < -NOISE_REACH * frame.free_sd)
+    level = frame.common_change()
+    sd = np.hypot(frame.free_sd.ravel(), np.sqrt(np.diag(level.uneven))).reshape(panel.shape)
+    fallen = panel.present & (frame.free_map - level.mean < -NOISE_REACH * sd)
     shares = [
         fallen.sum(axis=axis) / np.maximum(panel.present.sum(axis=axis), 1) for axis in (1, 0)
     ]
@@ -61,8 +64,8 @@ def leaks_of(frame: Observation) -> Leaks | None:
     if not known and not further:
         return None
     change = frame.free_map.ravel()
-    noise = frame.free.covariance + ASSUMED.creep**2 * np.eye(len(change))
-    common = np.full(len(change), ASSUMED.common_change)
+    noise = frame.free.covariance + ASSUMED.creep**2 * np.eye(len(change)) + level.uneven
+    common = UNIFORM_SD * level.unit
     own = [_column(frame, leak) for leak in known]
     alone = Changes(change, noise, np.column_stack([common, *own]))
     starts = usual_starts(change)

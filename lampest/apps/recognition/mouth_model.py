@@ -20,7 +20,12 @@ from numpy.typing import ArrayLike
 from scipy.special import softmax
 
 from lampest.apps.recognition.hypotheses import EVIDENCE_SHARE
-from lampest.apps.recognition.observation import MostProbable, Observation, Whitening
+from lampest.apps.recognition.observation import (
+    UNEVENNESS,
+    MostProbable,
+    Observation,
+    Whitening,
+)
 from lampest.apps.recognition.suction import Suction, under
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
@@ -53,8 +58,6 @@ PLACE_MM = 0.5
 # Alternative exponents of the published curve under suction, beside 1: ln f is known at one point
 # only, through which a straight line or a threshold pass, too.
 EXPONENTS = (1 / 3, 2.0)
-# Of a film's response from cell to cell, over the usual deviation: films are glued and bent.
-UNEVENNESS = 2.5
 
 
 class Unevenness(NamedTuple):

@@ -42,6 +42,12 @@ MAX_LOG_CHANGE = 12.0
 OUTLIER_SHARE = 0.03  # largest share of outliers among the readings
 # Factor on σ, or on the reading, that gives the σ of a reading that does not count.
 DROPPED_FACTOR = 1e3
+# Of a film's response from cell to cell, over the usual deviation: films are glued and bent.
+UNEVENNESS = 2.5
+# Assumed fastest rise of a water level, kPa/s: 5 mm in a second.
+LEVEL_RATE = 0.05
+# Time constant, s, with which means follow the frames, and with which a residue fades.
+FOLLOWS_S = 20.0
 
 
 def nothing_shared(readings: Array) -> Array:
@@ -270,6 +276,24 @@ class Baseline:
         return uneven, shared.T @ shared
 
 
+class CommonChange(NamedTuple):
+    """Change of all cells by one cause.
+
+    Attributes
+    ----------
+    unit : array, shape (cells,)
+        ln r/r0 of each cell over that of the median cell.
+    uneven : array, shape (cells, cells)
+        Covariance of ln r/r0 by films that respond differently.
+    mean : array, shape (rows, columns)
+        ln r/r0 by the level of the water.
+    """
+
+    unit: Array
+    uneven: Array
+    mean: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Observation:
     """A frame's readings and the baseline with which they are compared.
@@ -457,6 +481,29 @@ class Observation:
         variance = 1 - ((whitening @ slope) ** 2).sum(axis=0)
         at_rest = np.sqrt(np.maximum(variance, np.finfo(float).eps)).reshape(self.measured.shape)
         return np.asarray(2 / (1 / at_rest + 1 / self.free_sd))
+
+    def common_change(self) -> CommonChange:
+        """Return the change that all cells share.
+
+        In air that is a drift, which is equal in all of them. Under water it is a level, the
+        pressure that most cells show, to which films respond differently. It has risen by no more
+        than LEVEL_RATE allows, beyond which a load is on most of the cells.
+        """
+        cells = self.measured.size
+        still = np.zeros(self.measured.shape)
+        if not self.water.any():
+            return CommonChange(np.ones(cells), np.zeros((cells, cells)), still)
+        response = self.baseline.response
+        at_rest = response.logarithm(self.water)
+        pressures = response.pressure(at_rest + self.free_map / response.gains) - self.water
+        level = float(np.median(pressures[self.panel.present]))
+        change, _ = self.change(np.full(still.shape, level))
+        most = LEVEL_RATE * (self.seconds + FOLLOWS_S)
+        mean, _ = self.change(np.full(still.shape, np.clip(level, -most, most)))
+        unit = change.ravel() / max(np.abs(np.median(change)), np.finfo(float).tiny)
+        film, _ = self.baseline.film_parts(np.stack([change, still, still]))
+        uneven = (UNEVENNESS * self.baseline.model_errors.response) ** 2 * film
+        return CommonChange(unit, uneven, mean)
 
     def without(self, dropped: Numbers) -> "Observation":
         """Return the observation without the readings of these numbers.

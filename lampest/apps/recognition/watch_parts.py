@@ -12,6 +12,7 @@ from lampest.apps.recognition.detector import Detector, Verdict
 from lampest.apps.recognition.leaks import Leaks
 from lampest.apps.recognition.model_errors import ModelErrors, RecognitionScene
 from lampest.apps.recognition.observation import (
+    FOLLOWS_S,
     Baseline,
     Observation,
     nothing_shared,
@@ -24,9 +25,8 @@ from lampest.panel.panel import Array, Mask
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 
-# Time constant, s, with which means follow the frames, and with which a residue fades.
-FOLLOWS_S = 20.0
 MIN_FRAMES = 3  # that a recognition needs
+REMEMBERED_S = 60.0  # between levels without a load that are remembered: they follow within 20 s
 DEVIATION_ROUNDS = 12  # of weighted least squares, which approach least absolute deviations
 # Resistances of an open line over those at rest, and the share of its readings that have them:
 # mouths raise up to five cells of a row of ten.
@@ -191,12 +191,56 @@ class Level:
         Number of frames in the mean.
     since_s, until_s : float
         Times of its first and of its last frame, s.
+    lag : array, shape (cells,), or 0
+        By how much readings that drift exceed the mean that follows them, after some time.
     """
 
     mean: Array
     frames: float
     since_s: float
     until_s: float
+    lag: Array | float = 0.0
+
+    @property
+    def expected(self) -> Array:
+        """The readings that a further frame will have, ln y, (cells,)."""
+        return self.mean + self._behind
+
+    @property
+    def _behind(self) -> Array | float:
+        """The present lag, which grows with the age of the frames in the mean."""
+        return self.lag * min((self.until_s - self.since_s) / (2 * FOLLOWS_S), 1.0)
+
+    def after(self, logarithm: Array, time: float) -> "Level":
+        """Return the level after readings ln y, (cells,), at a time in s.
+
+        The mean, and the lag of the mean, have the time constant FOLLOWS_S; see Holt, Forecasting
+        seasonals and trends by exponentially weighted moving averages, 1957.
+        """
+        share = min((time - self.until_s) / FOLLOWS_S, 1.0)
+        follows = max(1 / (self.frames + 1), share)
+        ahead = logarithm - self.mean
+        lag = self.lag + share * (ahead - self._behind)
+        return Level(self.mean + follows * ahead, 1 / follows, self.since_s, time, lag)
+
+
+def remembered(past: tuple[Level, ...], rest: Level) -> tuple[Level, ...]:
+    """Return the levels without a load to be remembered: the oldest of each octave of ages.
+
+    Parameters
+    ----------
+    past : tuple of Level
+        Those remembered before, the oldest first.
+    rest : Level
+        The present one. Ages count from REMEMBERED_S on.
+    """
+    if past and rest.until_s - past[-1].until_s < REMEMBERED_S:
+        return past
+    kept = dict[int, Level]()
+    for level in (*past, rest):
+        octave = int(np.log2(1 + (rest.until_s - level.until_s) / REMEMBERED_S))
+        kept.setdefault(octave, level)
+    return tuple(kept.values())
 
 
 @dataclass(frozen=True, eq=False)
