@@ -16,15 +16,14 @@ import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.apps.recognition.breathing import WINDOW_S
-from lampest.apps.recognition.detector import Verdict, relieved_by_departure
+from lampest.apps.recognition.detector import Verdict, is_as_before, relieved_by_departure
 from lampest.apps.recognition.disc_search import StepTest
 from lampest.apps.recognition.hypotheses import RARE_LOG_ODDS
 from lampest.apps.recognition.leaks import Leaks, leaks_of
-from lampest.apps.recognition.observation import Observation, counting
+from lampest.apps.recognition.observation import FOLLOWS_S, Observation, counting
 from lampest.apps.recognition.suction import MIN_FALL
 from lampest.apps.recognition.swings import patterns_of
 from lampest.apps.recognition.watch_parts import (
-    FOLLOWS_S,
     MIN_FRAMES,
     Frames,
     Level,
@@ -32,6 +31,7 @@ from lampest.apps.recognition.watch_parts import (
     UnloadedPanel,
     WatchSetup,
     latest,
+    remembered,
     without_open_lines,
 )
 from lampest.files.levels import NOISE_REACH
@@ -72,6 +72,8 @@ class Watch:
         Standard deviations of one frame's readings of the panel without a load.
     rest : Level
         The panel without a load.
+    past : tuple of Level
+        The panel without a load at earlier times, see `remembered`.
     level : Level
         The readings since the last step; without a load they are also the rest.
     recent : tuple of two arrays
@@ -115,6 +117,7 @@ class Watch:
     rest: Level
     level: Level
     recent: tuple[Array, ...]
+    past: tuple[Level, ...] = ()
     window: Frames = ()
     steps: tuple[float, ...] = ()
     present: bool = False
@@ -184,9 +187,10 @@ class Watch:
         # recognised, breath and suction judged.
         if not watch.known:
             frame = watch._frame(watch.level.mean, time)
-            if watch.setup.detector.calm(frame) is not None and watch._left(frame):
-                brief = watch if watch._standing_look else watch._with_brief_load()
-                return brief._gone(watch.level.since_s)
+            calm = watch.setup.detector.calm(frame) is not None and watch._left(frame)
+            # calm readings that stand out of the baseline wait for a recognition
+            if calm and not watch._stands_out_in(watch.level.mean):
+                return watch._gone(watch.level.since_s)
         if time >= watch.next_s:
             watch = watch._resumed(watch.level.mean)
         if time >= watch.next_s and len(watch._since_step) >= MIN_FRAMES:
@@ -301,7 +305,7 @@ class Watch:
         window = latest((*self.window, (time, logarithm)))
         return replace(
             self,
-            level=Level(shown, 1.0, begun_s, time),
+            level=Level(shown, 1.0, begun_s, time, self.level.lag),
             window=window,
             steps=(*(step for step in self.steps if step >= window[0][0]), begun_s),
             present=True,
@@ -315,19 +319,21 @@ class Watch:
     def _continued(self, shown: Array, logarithm: Array, time: float) -> "Watch":
         """Return the watch after a frame without a step, with parameters as in `_stepped`.
 
-        The level is a running mean with the time constant FOLLOWS_S. Without a load, the panel at
-        rest and the mean squares of the scores follow, too.
+        Without a load, the panel at rest and the mean squares of the scores follow, too.
         """
-        share = min((time - self.level.until_s) / FOLLOWS_S, 1.0)
-        follows = max(1 / (self.level.frames + 1), share)
-        mean = self.level.mean + follows * (shown - self.level.mean)
-        level = Level(mean, 1 / follows, self.level.since_s, time)
+        level = self.level.after(shown, time)
         if self.present:
             return replace(self, level=level, window=latest((*self.window, (time, logarithm))))
-        scores = self.test.scores(shown - self.level.mean)
-        loud = self.test.loud + share * (scores**2 - self.test.loud)
+        share = min((time - self.level.until_s) / FOLLOWS_S, 1.0)
+        scores = self.test.scores(shown - self.level.expected)
         rest = replace(level, frames=max(level.frames, self.rest.frames))
-        return replace(self, level=level, rest=rest, test=replace(self.test, loud=loud))
+        return replace(
+            self,
+            level=level,
+            rest=rest,
+            past=remembered(self.past, rest),
+            test=self.test.after(scores, share),
+        )
 
     def _resumed(self, logarithm: Array) -> "Watch":
         """Return the state before the last step with the frames since, if readings have returned.
@@ -347,9 +353,19 @@ class Watch:
         )
 
     def _steps_to(self, logarithm: Array, time: float) -> bool:
-        """Return whether readings ln y at a time in s are a step from the level."""
-        scores = self.test.scores(logarithm - self.level.mean)
-        return bool(np.any(scores >= self._least_step(time)))
+        """Return whether readings ln y at a time in s are a step from the level.
+
+        So are those that have changed slowly by as much since the load was recognised.
+        """
+        scores = self.test.scores(logarithm - self.level.expected)
+        if np.any(scores >= self._least_step(time)):
+            return True
+        look = self._standing_look
+        if not self.known or look is None:
+            return False
+        since = logarithm - np.log(look.verdict.frame.measured).ravel()
+        clearest = look.size.max()
+        return bool(np.any(self.test.scores(since)[look.size == clearest] >= MIN_CHANGE * clearest))
 
     def _least_step(self, time: float) -> Array:
         """Return thresholds of the scores, (discs,): parts of the load or of a fading residue."""
@@ -358,8 +374,11 @@ class Watch:
         if self.present and not (self.known and self._standing_look):
             size = self.test.sizes(self.level.mean - self.rest.mean)
         elif look is not None:
-            size = look.size * (1.0 if self.present else look.fading(time))
-        return np.maximum(self.test.least(), MIN_CHANGE * size)
+            size = look.size
+        share = MIN_CHANGE
+        if look is not None and not self.present:
+            share = self.setup.errors.residue * look.fading(time)
+        return np.maximum(self.test.least(), share * size)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
         """Return readings ln y as an observation against the panel before the load.
@@ -451,11 +470,15 @@ class Watch:
     def _gone(self, time: float) -> "Watch":
         """Return the watch after the load has left at a time in s.
 
-        The present readings become the baseline, unless no load had been recognised.
+        The present readings become the baseline where a load had been recognised, and where those
+        of a bare panel stand out of the baseline before, as those of a level that has risen.
         """
-        closed = tuple(load.ended(time) if load.present else load for load in self.attachments)
+        look = self._standing_look
+        changed = look is None and self._stands_out_in(self.level.mean)
+        watch = self if look or changed else self._with_brief_load()
+        closed = tuple(load.ended(time) if load.present else load for load in watch.attachments)
         watch = replace(
-            self,
+            watch,
             present=False,
             known=False,
             former=None,
@@ -466,11 +489,11 @@ class Watch:
             steps=(),
             unloaded=None,
         )
-        look = self._standing_look
-        if look is None:
+        if look is None and not changed:
             return replace(watch, level=replace(self.rest, until_s=self.level.until_s))
         rest = replace(self.level, since_s=time)
-        return replace(watch, level=rest, rest=rest, look=replace(look, time_s=time, over=True))
+        over = look and replace(look, time_s=time, over=True)
+        return replace(watch, level=rest, rest=rest, look=over or self.look)
 
     def _with_brief_load(self) -> "Watch":
         """Return the watch with a load that has left before it was looked at.
@@ -478,7 +501,12 @@ class Watch:
         On a mat its contacts are recognised, from the frames in which it stood. Suction is not
         known so soon, so on other panels only the time of the load is noted.
         """
-        stood = [frame for frame in self.window if self._stands_out_in(frame[1])]
+        stood = [
+            (time, logarithm)
+            for time, logarithm in self.window
+            if self._stands_out_in(logarithm)
+            and self._stands_out_in(logarithm + self.rest.mean - self.level.mean)
+        ]
         if len(stood) < MIN_FRAMES:
             return self
         times, logarithms = zip(*stood, strict=True)
@@ -530,11 +558,15 @@ class Watch:
                 patterns_of(verdict, self.test.whitening),
                 any_form=self.setup.detector.any_form,
             )
+            if self._standing_look is None and self._as_before(verdict):
+                return self._gone(since)
         watch = replace(self, known=True, next_s=again, former=None)
         if not loads and not quiet and self._standing_look is None:
-            return replace(watch, history=RELIEVED)
+            watch = replace(watch, history=RELIEVED)
+            return watch if time - since < WINDOW_S else watch._gone(since)
         # the readings may still show a load that was recognised since the last step
-        shown = quiet and self.known and self._stands_out_in(self.level.mean)
+        recognised = self._standing_look is not None and self.known
+        shown = quiet and recognised and self._stands_out_in(self.level.mean)
         if not loads and self._left(frame) and not shown:
             return self._gone(time if self.known else since)
         has_left = partial(self._has_left, frame=frame)
@@ -552,6 +584,18 @@ class Watch:
                 for load in attachments
             ),
         )
+
+    def _as_before(self, verdict: Verdict) -> bool:
+        """Return whether the panel rather is as it was without a load at an earlier time.
+
+        That is a time at which its readings stood out of the present baseline.
+        """
+        panels = (
+            UnloadedPanel(self.setup, level, self.resting_sigma, self.leaks)
+            for level in self.past
+            if self._stands_out_in(level.mean)
+        )
+        return any(is_as_before(verdict, panel.baseline.logarithm) for panel in panels)
 
     def _stands_out_in(self, logarithm: Array) -> bool:
         """Return whether readings ln y show a load on the panel at rest."""
