@@ -317,8 +317,9 @@ class Field:
     def covariance(self, sizes: FieldSizes) -> Array:
         """Return the covariance with these sizes, (n, n)."""
         variance, own = FIELD_DEVIATIONS[sizes.deviation] ** 2, OWN_SHARES[sizes.own]
-        smooth = variance * (1 - own) * self.smooth[sizes.cells]
-        return np.asarray(smooth + variance * own * self.own)
+        covariance = variance * (1 - own) * self.smooth[sizes.cells]
+        covariance += variance * own * self.own
+        return np.asarray(covariance)
 
 
 def outline(place: Numbers, moved: Mask) -> int:

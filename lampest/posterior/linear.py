@@ -386,9 +386,11 @@ def misfit_and_volume(covariance: Array, deviation: Array) -> tuple[float, float
     """
     if not deviation.size:
         return 0.0, 0.0
-    factor = _sound(*lapack.dpotrf(covariance.T, lower=True, clean=False))
+    factor, failed = lapack.dpotrf(covariance.T, lower=True, clean=False)
+    diagonal = _sound(factor.diagonal(), failed)
+    # Entries beside the diagonal that are not finite reach the whitened deviations.
     white = _sound(*lapack.dtrtrs(factor, deviation, lower=True))
-    return float(white @ white), 2 * float(np.sum(np.log(np.diag(factor))))
+    return float(white @ white), 2 * float(np.log(diagonal).sum())
 
 
 def _sound(result: Array, failed: int) -> Array:
@@ -396,7 +398,7 @@ def _sound(result: Array, failed: int) -> Array:
 
     Raises numpy.linalg.LinAlgError if it failed, or the result is not finite.
     """
-    if failed or not np.all(np.isfinite(result)):
+    if failed or not np.isfinite(result).all():
         raise np.linalg.LinAlgError("the cost is flat round the estimate")
     return result
 
