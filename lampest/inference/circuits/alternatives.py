@@ -201,27 +201,26 @@ def alternatives_of(specified: Alternative, *, reversed_too: bool = False) -> It
     # With potentials a reading may rise and fall with its cell, so that no sense is known
     of_potentials = tuple(with_potentials(readout, scene))
     for circuit in (*of_potentials, *circuits_beside(readout, scene)):
-        values = circuit.recorded_from_volt(volt)
-        sense = _sense(apparent, _logarithm(circuit, scene, values))
-        known = circuit in of_potentials or sense > 0 or (reversed_too and sense < 0)
-        if circuit == readout or not known:
+        if circuit == readout:
             continue
-        sigma = specified.sigma if circuit.unit == readout.unit else None
-        with suppress(ValueError):  # the kind may have no model of another entry of the scene
+        with suppress(ValueError):  # the kind may have no model of the panel, or of another entry
             alike = type(circuit) is type(readout) and circuit.unit == "ohm"
             series = scene.series_resistance_ohm if alike else 0.0
             alternative = replace(
                 scene, readout=circuit, series_resistance_ohm=series, systematic=None
             )
-            entries = entries_of(circuit, readout)
-            yield Alternative(
-                alternative,
-                values,
-                sigma,
-                entries_in_words(entries),
-                {"readout": entries},
-                number=open_number_of(circuit),
-            )
+            values = circuit.recorded_from_volt(volt)
+            sense = _sense(apparent, _logarithm(circuit, scene, values))
+            if circuit in of_potentials or sense > 0 or (reversed_too and sense < 0):
+                entries = entries_of(circuit, readout)
+                yield Alternative(
+                    alternative,
+                    values,
+                    specified.sigma if circuit.unit == readout.unit else None,
+                    entries_in_words(entries),
+                    {"readout": entries},
+                    number=open_number_of(circuit),
+                )
     yield from _listed_by_columns(specified, readout)
 
 
@@ -330,12 +329,8 @@ def _listed_by_columns(specified: Alternative, readout: Any) -> Iterator[Alterna
 
 
 def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
-    """Return ln of the apparent resistances.
-
-    The result is NaN where the circuit does not fit the panel or cannot have the values.
-    """
+    """Return ln of the apparent resistances; NaN where the circuit cannot have the values."""
     with suppress(InputError, ValueError), np.errstate(all="ignore"):
-        circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))
         return np.asarray(
             np.log(circuit.apparent_resistance(circuit.from_recorded(recorded, scene)))
         )
