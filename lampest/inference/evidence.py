@@ -169,30 +169,20 @@ class Changes:
             Row and column of each cell.
         moved : boolean array, shape (n,)
         """
-        size = np.abs(self.change)
-        return [moved, self._around(place, size > CORE_SHARE * size.max())]
+        return [moved, core_and_around(self.change, place)[1]]
 
-    @staticmethod
-    def _around(place: Numbers, core: Mask) -> Mask:
-        """Return the cells of a core and their eight neighbours, (n,)."""
-        distance = np.abs(place[:, None] - place[core]).max(axis=-1)
-        return np.asarray((distance <= 1).any(axis=1))
-
-    def loads(self, place: Numbers) -> "list[Load]":
-        """Return the loads that may have made the changes, beside errors z.
+    def single_loads(self, place: Numbers) -> "list[Load]":
+        """Return loads of single cells that may have made the changes, beside errors z.
 
         Their core are cells with more than CORE_SHARE of the largest change. Changes of the core
-        and of further single cells, with tails beside the core, are as probable as a smooth field
-        of the core and the cells beside it, and as one of all cells.
+        and of further single cells, with tails beside the core, are as probable as `smooth_loads`.
 
         Parameters
         ----------
         place : integer array, shape (n, 2)
             Row and column of each cell.
         """
-        size = np.abs(self.change)
-        core = size > CORE_SHARE * size.max()
-        around = self._around(place, core)
+        core, around = core_and_around(self.change, place)
         loads = list[Load]()
         for tail in TAILS:
             loaded = np.where(core, FIELD_DEVIATIONS[-1], tail * around)
@@ -202,10 +192,6 @@ class Changes:
             cells = single > 0
             cost = MOVED_COST * int((core | further).sum()) + 2 * float(np.log(len(TAILS)))
             loads.append(Load(cost, cells, [np.diag(single[cells] ** 2)], smooth=False))
-        for changed in (around, np.ones_like(core)):
-            cost = OUTLINE_COST * outline(place, changed) + 2 * float(np.log(len(EVERY_SIZE)))
-            covariances = [*map(Field.of(place[changed]).covariance, EVERY_SIZE)]
-            loads.append(Load(cost, changed, covariances, smooth=True))
         return loads
 
     def with_load(self, cells: Mask, covariance: Array) -> "Changes":
@@ -320,6 +306,37 @@ class Field:
         covariance = variance * (1 - own) * self.smooth[sizes.cells]
         covariance += variance * own * self.own
         return np.asarray(covariance)
+
+
+def core_and_around(change: Array, place: Numbers) -> tuple[Mask, Mask]:
+    """Return the core of a load, and the same with the eight neighbours of its cells, (n,) each.
+
+    The core are cells with more than CORE_SHARE of the largest change.
+
+    Parameters
+    ----------
+    change : array, shape (n,)
+    place : integer array, shape (n, 2)
+        Row and column of each cell.
+    """
+    size = np.abs(change)
+    core = size > CORE_SHARE * size.max()
+    distance = np.abs(place[:, None] - place[core]).max(axis=-1)
+    return core, np.asarray((distance <= 1).any(axis=1))
+
+
+def smooth_loads(change: Array, place: Numbers) -> list[Load]:
+    """Return loads that are a smooth field: of the core and the cells beside it, and of all cells.
+
+    They are the same beside any errors. Parameters as those of `core_and_around`.
+    """
+    core, around = core_and_around(change, place)
+    loads = list[Load]()
+    for changed in (around, np.ones_like(core)):
+        cost = OUTLINE_COST * outline(place, changed) + 2 * float(np.log(len(EVERY_SIZE)))
+        covariances = [*map(Field.of(place[changed]).covariance, EVERY_SIZE)]
+        loads.append(Load(cost, changed, covariances, smooth=True))
+    return loads
 
 
 def outline(place: Numbers, moved: Mask) -> int:

@@ -7,8 +7,8 @@ z, with
 
 where U is the response of the readings to the errors (`lampest.panel.effects`), and K the
 inverse of the readings' Jacobian. A load adds changes of its own: d = a z + load + noise. Each
-evidence and each posterior is averaged over loads (`Changes.loads`), and over the spread of the
-channels where it is unknown.
+evidence and each posterior is averaged over loads (`Changes.single_loads`, `smooth_loads`), and
+over the spread of the channels where it is unknown.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ import numpy as np
 from lampest.files.levels import UNUSUAL
 from lampest.inference.assumptions import ASSUMED
 from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
-from lampest.inference.evidence import Changes, places_of
+from lampest.inference.evidence import Changes, Load, places_of, smooth_loads
 from lampest.inference.number import Number, mean_cost
 from lampest.panel.effects import (
     CHANNELS,
@@ -31,7 +31,7 @@ from lampest.panel.effects import (
     recorded_share,
     sized_effects,
 )
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Numbers
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.frame_noise import FrameNoise
@@ -56,6 +56,8 @@ class SharedChanges:
 
     Attributes
     ----------
+    place : integer array, shape (cells, 2)
+        Row and column of each cell.
     change : array, shape (cells,)
         d.
     noise : array, shape (cells, cells)
@@ -70,6 +72,7 @@ class SharedChanges:
         Field of `Systematic` → number of columns of an estimated error.
     """
 
+    place: Numbers
     change: Array
     noise: Array
     hidden: Array
@@ -77,6 +80,11 @@ class SharedChanges:
     reach: float
     errors: tuple[SharedEffect, ...]
     counts: dict[str, int]
+
+    @cached_property
+    def smooth_loads(self) -> list[Load]:
+        """Smooth loads that may have made the changes; they do not depend on the errors."""
+        return smooth_loads(self.change, self.place)
 
     @property
     def has_channels(self) -> bool:
@@ -236,6 +244,7 @@ def shared_changes(scene: Scene, frames: SharedFrames, sizes: Systematic) -> Sha
         error.setting: part.shape[1] for error, part in zip(estimated, of_estimated, strict=True)
     }
     return SharedChanges(
+        places_of(scene.panel.shape),
         np.log(fit.cells / resting.cells).ravel(),
         covariance + of_fixed @ of_fixed.T,
         np.hstack([np.zeros((size, 0)), *of_estimated]),
@@ -257,7 +266,7 @@ def _with_frame_noise(
 
 
 def _beside_loads(
-    scene: Scene, moves: SharedChanges, size: float, factor: float
+    moves: SharedChanges, size: float, factor: float
 ) -> Iterator[tuple[float, Callable[[], Changes]]]:
     """Yield −2 ln density and a function of the changes beside each load that may have made them.
 
@@ -265,7 +274,6 @@ def _beside_loads(
 
     Parameters
     ----------
-    scene : Scene
     moves : SharedChanges
     size : float
         Standard deviation of each reading's own error.
@@ -275,21 +283,20 @@ def _beside_loads(
     beside_cells, beside_fields = (
         each.with_channels(factor).changes(size) for each in (moves, moves.centred)
     )
-    for load in beside_cells.loads(places_of(scene.panel.shape)):
+    for load in (*beside_cells.single_loads(moves.place), *moves.smooth_loads):
         changes = beside_fields if load.smooth else beside_cells
         costs = load.cost + changes.costs_with(load.cells, load.covariances)
         for cost, covariance in zip(costs.tolist(), load.covariances, strict=True):
             yield cost, partial(changes.with_load, load.cells, covariance)
 
 
-def error_costs(scene: Scene, moves: SharedChanges, errors: Array, factors: Array) -> Array:
+def error_costs(moves: SharedChanges, errors: Array, factors: Array) -> Array:
     """Return −2 ln evidence of errors by the changes to a loaded frame, (factors, errors).
 
-    The evidence is averaged over loads (`Changes.loads`), which are no errors of the readings.
+    The evidence is averaged over single and smooth loads, which are no errors of the readings.
 
     Parameters
     ----------
-    scene : Scene
     moves : SharedChanges
     errors : array, shape (errors,)
         Sizes of each reading's own error.
@@ -298,17 +305,16 @@ def error_costs(scene: Scene, moves: SharedChanges, errors: Array, factors: Arra
     """
 
     def cost(size: float, factor: float) -> float:
-        return mean_cost(np.array([each for each, _ in _beside_loads(scene, moves, size, factor)]))
+        return mean_cost(np.array([each for each, _ in _beside_loads(moves, size, factor)]))
 
     return np.array([[cost(size, factor) for size in errors] for factor in factors])
 
 
-def gain_of(scene: Scene, moves: SharedChanges, sizes: Systematic, setting: str) -> float:
+def gain_of(moves: SharedChanges, sizes: Systematic, setting: str) -> float:
     """Return the decrease of −2 ln evidence by an error, averaged over loads.
 
     Parameters
     ----------
-    scene : Scene
     moves : SharedChanges
     sizes : Systematic
         Standard deviations of the errors.
@@ -320,15 +326,12 @@ def gain_of(scene: Scene, moves: SharedChanges, sizes: Systematic, setting: str)
     size = np.array([sizes.size(READINGS)])
     usual = np.ones(1)
     without, with_error = (
-        float(error_costs(scene, each, size, usual)[0, 0])
-        for each in (moves.without(setting), moves)
+        float(error_costs(each, size, usual)[0, 0]) for each in (moves.without(setting), moves)
     )
     return without - with_error
 
 
-def joint_posterior(
-    scene: Scene, moves: SharedChanges, size: float, spread: Number
-) -> tuple[Array, Array]:
+def joint_posterior(moves: SharedChanges, size: float, spread: Number) -> tuple[Array, Array]:
     """Return the posterior of errors z, averaged over loads and spreads of the channels.
 
     The errors are in units of their priors. What the second order of the most probable ones changes
@@ -336,7 +339,6 @@ def joint_posterior(
 
     Parameters
     ----------
-    scene : Scene
     moves : SharedChanges
     size : float
         Standard deviation e of each reading's own error.
@@ -348,15 +350,13 @@ def joint_posterior(
     mean : array, shape (columns,)
     covariance : array, shape (columns, columns)
     """
-    linear, _ = _averaged_posterior(scene, moves, size, spread)
+    linear, _ = _averaged_posterior(moves, size, spread)
     second_order = (moves.changes(size).columns @ linear) ** 2 / 2
     uncertain = replace(moves, noise=moves.noise + np.diag(second_order**2))
-    return _averaged_posterior(scene, uncertain, size, spread)
+    return _averaged_posterior(uncertain, size, spread)
 
 
-def _averaged_posterior(
-    scene: Scene, moves: SharedChanges, size: float, spread: Number
-) -> tuple[Array, Array]:
+def _averaged_posterior(moves: SharedChanges, size: float, spread: Number) -> tuple[Array, Array]:
     """Return the posterior of `joint_posterior` by linear theory."""
     means = list[Array]()
     seconds = list[Array]()
@@ -364,7 +364,7 @@ def _averaged_posterior(
     for factor, odds in zip(spread.values, spread.odds, strict=True):
         if odds < NEGLIGIBLE:
             continue
-        costs, beside = zip(*_beside_loads(scene, moves, size, factor), strict=True)
+        costs, beside = zip(*_beside_loads(moves, size, factor), strict=True)
         odds_of_loads = np.exp((min(costs) - np.array(costs)) / 2)
         odds_of_loads *= odds / odds_of_loads.sum()
         for changes_beside, weight in zip(beside, odds_of_loads, strict=True):

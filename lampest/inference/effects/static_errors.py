@@ -164,7 +164,7 @@ def shared_errors(scene: Scene, frames: SharedFrames, needed: str = "") -> Share
             error = _error_beside_channels(scene, frames, moves)
         else:
             costs = unloaded_costs(scene, resting, frames.fit, READING_ERRORS)[0]
-            costs = costs + _costs_of_errors(scene, moves, EVERY_SECOND)[0]
+            costs = costs + _costs_of_errors(moves, EVERY_SECOND)[0]
             error = Number.by_costs(READING_ERRORS, costs, PRIOR_ODDS)
         # √E[e²] exceeds the most probable e where e is uncertain
         possible = Possible(replace(prior, reading_error=float(np.sqrt(error.mean_square))))
@@ -275,7 +275,7 @@ def _error_beside_channels(scene: Scene, frames: SharedFrames, moves: SharedChan
     coarse = unloaded_costs(scene, frames.resting, frames.fit, tried, spreads)
     unloaded = np.array([np.interp(every, COARSE, of_spread) for of_spread in coarse])
     costs = unloaded - 2 * LOG_PRIOR_OF_FACTORS[FEW_FACTORS, None]
-    beside = _costs_of_errors(scene, moves, COARSE, CHANNEL_FACTORS[FEW_FACTORS])
+    beside = _costs_of_errors(moves, COARSE, CHANNEL_FACTORS[FEW_FACTORS])
     return Number.by_costs(READING_ERRORS, summed_out(costs + beside, axis=0), PRIOR_ODDS)
 
 
@@ -307,7 +307,7 @@ def _channel_spread(
     error = np.array([size])
     spreads = factors * (systematic_of(scene) or Systematic()).size(CHANNELS)
     unloaded = unloaded_costs(scene, frames.resting, frames.fit, error, spreads)[:, 0]
-    changes = error_costs(scene, moves, error, factors)[:, 0]
+    changes = error_costs(moves, error, factors)[:, 0]
     prior = np.append(0.0, np.exp(LOG_PRIOR_OF_FACTORS))
     spread = Number.by_costs(factors, unloaded + changes, prior)
     likelihood = spread.odds[1:] / prior[1:]
@@ -356,7 +356,7 @@ def _with_common_errors(
         if spread.log_deviation < MAX_UNTOLD * LOG_SD_OF_FACTORS:
             determined = {CHANNELS: (usual * spread.mean, usual * spread.deviation)}
             errors = replace(errors, sizes=errors.sizes | determined)
-    mean, covariance = joint_posterior(scene, moves, size, spread)
+    mean, covariance = joint_posterior(moves, size, spread)
     determined = _determined_sizes(moves, mean, covariance, prior)
     settings = [error.setting for error in moves.errors]
     # The columns of the posterior behind those of common errors are the readings' own errors.
@@ -368,7 +368,7 @@ def _with_common_errors(
         mean, covariance = unit * mean, unit[:, None] * covariance * unit
     root = lower_root(covariance + np.outer(mean, mean))
     possible = replace(errors.possible, settings=tuple(settings), root=root)
-    shown = tuple(setting for setting in moves.counts if _is_shown(setting, errors, scene, moves))
+    shown = tuple(setting for setting in moves.counts if _is_shown(setting, errors, moves))
     return replace(
         errors,
         possible=possible,
@@ -378,11 +378,11 @@ def _with_common_errors(
     )
 
 
-def _is_shown(setting: str, errors: SharedErrors, scene: Scene, moves: SharedChanges) -> bool:
+def _is_shown(setting: str, errors: SharedErrors, moves: SharedChanges) -> bool:
     """Return whether the evidence of a common error against none exceeds SHOWN_GAIN."""
     gain = errors.gains.get(setting)
     if gain is None:
-        gain = gain_of(scene, moves, errors.possible.sizes, setting)
+        gain = gain_of(moves, errors.possible.sizes, setting)
     return gain > SHOWN_GAIN
 
 
@@ -419,7 +419,6 @@ def _determined_sizes(
 
 
 def _costs_of_errors(
-    scene: Scene,
     moves: SharedChanges | None,
     numbers: Numbers,
     factors: Array = USUAL_SPREAD,
@@ -430,7 +429,6 @@ def _costs_of_errors(
 
     Parameters
     ----------
-    scene : Scene
     moves : SharedChanges or None
         None: the evidence is 0.
     numbers : integer array
@@ -441,7 +439,7 @@ def _costs_of_errors(
     if moves is None:
         return np.zeros((len(factors), len(READING_ERRORS)))
     tried = numbers[READING_ERRORS[numbers] * moves.reach <= LINEAR_LIMIT]
-    costs = error_costs(scene, moves, READING_ERRORS[tried], factors)
+    costs = error_costs(moves, READING_ERRORS[tried], factors)
     every = np.arange(len(READING_ERRORS))
     return np.array([np.interp(every, tried, of_factor) for of_factor in costs])
 
@@ -552,7 +550,7 @@ def _gain_beside(scene: Scene, frames: SharedFrames, error: SharedEffect) -> flo
         moves = shared_changes(scene, frames, prior)
         tried = READING_ERRORS[COARSE]
         coarse = unloaded_costs(scene, frames.resting, frames.fit, tried)[0]
-        coarse = coarse + _costs_of_errors(scene, moves, COARSE)[0, COARSE]
+        coarse = coarse + _costs_of_errors(moves, COARSE)[0, COARSE]
         if coarse[0] - coarse.min() < COARSE_GAIN:
             return 0.0
     errors = shared_errors(scene, frames, error.setting)
@@ -562,5 +560,5 @@ def _gain_beside(scene: Scene, frames: SharedFrames, error: SharedEffect) -> flo
         return 0.0
     sizes = errors.possible.sizes
     moves = shared_changes(scene, frames, sizes)
-    gain = 0.0 if moves is None else gain_of(scene, moves, sizes, error.setting)
+    gain = 0.0 if moves is None else gain_of(moves, sizes, error.setting)
     return gain if gain > MIN_EVIDENCE_GAIN else 0.0
