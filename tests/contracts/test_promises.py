@@ -2,8 +2,7 @@
 
 import re
 
-import pytest
-from promises import ROOT, TABLE, Promise, promises, table
+from promises import ROOT, TABLE, promises, table
 
 from docs.studies.promises import BREAKS, broken, path_of
 
@@ -18,9 +17,9 @@ def prose(page: str) -> str:
     return " ".join(re.sub(r"^#+ .*$", "", text, flags=re.MULTILINE).split())
 
 
-@pytest.mark.parametrize("item", PROMISES, ids=lambda item: item.test.partition("::")[2])
-def test_a_promise_is_a_sentence_of_its_page(item: Promise) -> None:
-    assert item.sentence in prose((ROOT / item.page).read_text(encoding="utf-8"))
+def test_a_promise_is_a_sentence_of_its_page() -> None:
+    pages = {item.page: prose((ROOT / item.page).read_text(encoding="utf-8")) for item in PROMISES}
+    assert [item for item in PROMISES if item.sentence not in pages[item.page]] == []
 
 
 def test_the_table_of_promises_is_that_of_the_marks() -> None:
@@ -28,8 +27,8 @@ def test_the_table_of_promises_is_that_of_the_marks() -> None:
     assert TABLE.read_text(encoding="utf-8") == table(), "python -m tests.promises"
 
 
-@pytest.mark.parametrize("item", PROMISES, ids=lambda item: item.test.partition("::")[2])
-def test_the_study_can_break_a_promise(item: Promise) -> None:
-    change = BREAKS[item.test.partition("::test_")[2]]
-    source = (ROOT / path_of(change)).read_text(encoding="utf-8")
-    assert broken(source, change) != source
+def test_the_study_can_break_a_promise() -> None:
+    for item in PROMISES:
+        change = BREAKS[item.test.partition("::test_")[2]]
+        source = (ROOT / path_of(change)).read_text(encoding="utf-8")
+        assert broken(source, change) != source, item

@@ -6,11 +6,7 @@ import pkgutil
 from collections.abc import Iterator
 from typing import Any
 
-import pytest
-
 import lampest
-
-MODULES = [name for _, name, _ in pkgutil.walk_packages(lampest.__path__, "lampest.")]
 
 
 def documented(module: Any) -> Iterator[tuple[str, Any]]:
@@ -39,9 +35,12 @@ def documented(module: Any) -> Iterator[tuple[str, Any]]:
             yield name, definition
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_public_names_are_documented(name: str) -> None:
-    module = importlib.import_module(name)
-    texts = {member: inspect.getdoc(definition) or "" for member, definition in documented(module)}
+def test_public_names_are_documented() -> None:
+    modules = [name for _, name, _ in pkgutil.walk_packages(lampest.__path__, "lampest.")]
+    texts = {
+        f"{name}.{member}": inspect.getdoc(definition) or ""
+        for name in modules
+        for member, definition in documented(importlib.import_module(name))
+    }
     assert [member for member, text in texts.items() if not text] == []
     assert [member for member, text in texts.items() if text.startswith("What ")] == []
