@@ -65,22 +65,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def surplus(items: list[pytest.Item], count: int) -> list[pytest.Item]:
-    """Return the variants of every test beyond a count that is spread over them.
+    """Return the variants of every test beyond a count, which is spread over those not slow.
 
     Of a test with the mark `long` only the first variant that is not slow is chosen.
     """
     variants: dict[tuple[Path, str], list[pytest.Item]] = {}
     for item in items:
-        variants.setdefault((item.path, getattr(item, "originalname", item.name)), []).append(item)
+        if item.get_closest_marker("slow") is None:
+            key = (item.path, getattr(item, "originalname", item.name))
+            variants.setdefault(key, []).append(item)
     beyond = []
     for several in variants.values():
-        chosen = {round(number * (len(several) - 1) / (count - 1)) for number in range(count)}
-        if several[0].get_closest_marker("long"):
-            fast = [item.get_closest_marker("slow") is None for item in several]
-            chosen = {fast.index(True)} if any(fast) else set()
-        elif len(several) <= count:
-            continue
-        beyond += [item for number, item in enumerate(several) if number not in chosen]
+        kept = 1 if several[0].get_closest_marker("long") else count
+        last = len(several) - 1
+        chosen = {round(number * last / max(kept - 1, 1)) for number in range(kept)}
+        if len(several) > kept:
+            beyond += [item for number, item in enumerate(several) if number not in chosen]
     return beyond
 
 
