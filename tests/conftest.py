@@ -1,8 +1,9 @@
 """The set-up of all tests: one thread, `support` for import, a folder on the disk, the command."""
 
+import gc
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,7 +23,7 @@ TESTS = Path(__file__).parent
 sys.path.insert(0, str(TESTS))
 
 
-FAST_VARIANTS = 2  # variants of a test that `make test` runs where there are many
+FAST_VARIANTS = 1  # variants of a test that `make test` runs where there are many
 THINNED = ("apps", "oracles", "units")  # laws and contracts keep all of theirs
 UNTHINNED = "test_table.py"  # the golden table keeps all of its rows with `--variants`, too
 
@@ -37,9 +38,23 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect without garbage collection, which then leaves out all that was loaded and collected.
+
+    Twelve thousand tests and their libraries are a million objects that live to the end.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark all variants of a test but FAST_VARIANTS as slow, and all but one of a long test.
+    """Mark all variants of a test but FAST_VARIANTS as slow in the rooms that are thinned.
 
     Leave `soak` out unless requested, and `exact` where readings are disturbed.
     """
@@ -65,10 +80,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def surplus(items: list[pytest.Item], count: int) -> list[pytest.Item]:
-    """Return the variants of every test beyond a count, which is spread over those not slow.
-
-    Of a test with the mark `long` only the first variant that is not slow is chosen.
-    """
+    """Return the variants of every test beyond a count, which is spread over those not slow."""
     variants: dict[tuple[Path, str], list[pytest.Item]] = {}
     for item in items:
         if item.get_closest_marker("slow") is None:
@@ -76,10 +88,9 @@ def surplus(items: list[pytest.Item], count: int) -> list[pytest.Item]:
             variants.setdefault(key, []).append(item)
     beyond = []
     for several in variants.values():
-        kept = 1 if several[0].get_closest_marker("long") else count
         last = len(several) - 1
-        chosen = {round(number * last / max(kept - 1, 1)) for number in range(kept)}
-        if len(several) > kept:
+        chosen = {round(number * last / max(count - 1, 1)) for number in range(count)}
+        if len(several) > count:
             beyond += [item for number, item in enumerate(several) if number not in chosen]
     return beyond
 

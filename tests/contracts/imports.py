@@ -81,21 +81,33 @@ def imported(folder: Path, file: SimpleNamespace) -> tuple[Recording, tuple[str,
 
 
 def check_taken(file: SimpleNamespace, folder: Path) -> None:
-    """Assert the expected frames, times and start of an import, also after saving and loading.
+    """Assert the expected frames, times and start of an import.
 
     The notes must contain all expected words.
     """
     recording, notes = imported(folder, file)
     assert all(any(words in note for note in notes) for words in file.notes), notes
     assert file.absent is None or not any(file.absent in note for note in notes)
+    check_content(recording, file)
+
+
+def check_saved(file: SimpleNamespace, folder: Path) -> None:
+    """Assert that an import is the same after saving and loading."""
+    recording, _ = imported(folder, file)
     recording.save(folder / "saved.h5")
-    for held in (recording, Recording.load(folder / "saved.h5")):
-        if file.expected is not None:
-            np.testing.assert_allclose(held.recorded, file.expected, rtol=ROUNDING)
-        if file.times is not None:
-            np.testing.assert_allclose(held.time, file.times, rtol=ROUNDING, atol=1e3 * ROUNDING)
-        assert held.start_time == file.start
-        assert file.role is None or held.role.tolist() == file.role
+    loaded = Recording.load(folder / "saved.h5")
+    check_content(loaded, file)
+    assert loaded.scene == recording.scene
+
+
+def check_content(recording: Recording, file: SimpleNamespace) -> None:
+    """Assert the expected frames, times, start and role of a recording."""
+    if file.expected is not None:
+        np.testing.assert_allclose(recording.recorded, file.expected, rtol=ROUNDING)
+    if file.times is not None:
+        np.testing.assert_allclose(recording.time, file.times, rtol=ROUNDING, atol=1e3 * ROUNDING)
+    assert recording.start_time == file.start
+    assert file.role is None or recording.role.tolist() == file.role
 
 
 def check_refused(file: SimpleNamespace, folder: Path) -> None:

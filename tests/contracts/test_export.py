@@ -215,20 +215,20 @@ def test_xarray_reads_the_zarr_export(lampest: Run, results: Path) -> None:
         assert group.attrs["start_time"] == START
 
 
-@pytest.mark.parametrize(
-    ("library", "to"),
-    [("pyarrow", "parquet"), ("zarr.storage", "zarr"), ("xarray", "zarr"), ("pynwb", "nwb")],
-)
-def test_export_names_a_missing_library(
-    results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str
-) -> None:
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(
-        InputError,
-        match=rf"^{library} is not installed; pip install 'lampest\[export\]' brings it$",
-    ):
-        export_results(results, to, recording="mouth")
-    assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
+def test_export_names_a_missing_library(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needed = (
+        ("pyarrow", "parquet"),
+        ("zarr.storage", "zarr"),
+        ("xarray", "zarr"),
+        ("pynwb", "nwb"),
+    )
+    for library, to in needed:
+        remedy = rf"^{library} is not installed; pip install 'lampest\[export\]' brings it$"
+        with monkeypatch.context() as without:
+            without.setitem(sys.modules, library, None)
+            with pytest.raises(InputError, match=remedy):
+                export_results(results, to, recording="mouth")
+        assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
 def test_a_failed_export_leaves_no_file(results: Path) -> None:

@@ -95,6 +95,7 @@ def test_a_term_joins_with_one_file_and_one_name(recording: Recording) -> None:
     assert weak.solved.all() and "misfit + leash" in repr(weak)
 
 
+@pytest.mark.slow
 def test_a_loss_joins_with_one_file_and_one_name(recording: Recording) -> None:
     """A very soft cushion is a square, and a hard one has the cost of its formula."""
     penalty = Gradient(weight=1e-3)

@@ -35,10 +35,11 @@ from lampest import (
 ROOT = Path(__file__).parents[2]
 CLEARLY_BETTER = 0.3  # error by the automatic weight over that by the published one
 MISFIT = [Misfit()]
-# Names whose examples run files, in processes of their own, or draw.
+# Names whose examples run files, in processes of their own, draw, or compare circuits.
 WHOLE_RUNS = (
     "CaseResult",
     "Column",
+    "Reconstruction",
     "Results",
     "comparison",
     "export_results",
@@ -238,6 +239,7 @@ def test_a_recording_and_a_reconstruction_print_one_line_each(
     } <= set(dir(estimate))
 
 
+@pytest.mark.slow
 def test_saved_results_equal_the_arrays(estimate: Reconstruction, tmp_path: Path) -> None:
     estimate.save(tmp_path / "r.h5", name="mine")
     (case,) = lampest.read_results(tmp_path / "r.h5").cases

@@ -900,6 +900,20 @@ def test_a_table_is_imported_with_its_frames_times_and_notes(
     imports.check_taken(file, tmp_path)
 
 
+@pytest.mark.parametrize(
+    "name",
+    (
+        "a frame a line: ';', True, True",
+        "timestamp;Zeile;Spalte;Widerstand",
+        "infinity in codes",
+        "a recording of matsense",
+    ),
+)
+def test_an_imported_table_survives_its_file(name: str, tmp_path: Path) -> None:
+    """Roles, times with a start, gaps, and a scene with a readout."""
+    imports.check_saved(TABLES[name], tmp_path)
+
+
 @pytest.mark.parametrize("file", REFUSED.values(), ids=REFUSED)
 def test_an_unreadable_table_is_refused_with_the_place_of_its_fault(
     file: SimpleNamespace, tmp_path: Path

@@ -53,7 +53,14 @@ def written(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("shape", [(3, 10, 10), (1, 1, 1), (2, 1, 8), (70, 5, 12)])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        (1, 1, 1),
+        (70, 5, 12),
+        *(pytest.param(shape, marks=pytest.mark.slow) for shape in ((3, 10, 10), (2, 1, 8))),
+    ],
+)
 def test_written_results_are_read_unchanged(tmp_path: Path, shape: tuple[int, int, int]) -> None:
     """Names out of alphabetical order: the order of the configuration must survive."""
     known = {"z": {"truth": True, "start_time": "2026-05-04T09:30:00+02:00"}, "b": {"truth": False}}
@@ -100,7 +107,7 @@ def test_the_same_cases_give_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "two.h5").read_bytes()
 
 
-@pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
+@pytest.mark.parametrize("engine", ["h5netcdf", pytest.param("netcdf4", marks=pytest.mark.slow)])
 def test_xarray_opens_a_results_file_unchanged(written: Path, engine: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what the libraries say of each other at import

@@ -282,32 +282,31 @@ def test_counts_of_one_are_singular(starter: Path, lampest: Command) -> None:
     assert "10 bits, 1 reading, noise 1 LSB" in lampest("info", starter / "example.h5").out
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        ("run.yaml", "a run file; lampest run reads it"),
-        ("scene.yaml", "a scene; lampest import takes it with --scene"),
-        ("simulation.yaml", "a simulation; lampest simulate makes a recording of it"),
-        ("mine.csv", "a file of another program; lampest import makes a recording of its readings"),
-        ("mine.png", "a picture"),
-        ("mine.bin", "another kind of file"),
-        ("empty.h5", "it is empty"),
-        ("damaged.h5", "it does not begin as one does"),
-        ("cut.h5", "it is cut off, 5000 of "),
-    ],
-)
+OTHER_FILES = {
+    "run.yaml": "a run file; lampest run reads it",
+    "scene.yaml": "a scene; lampest import takes it with --scene",
+    "simulation.yaml": "a simulation; lampest simulate makes a recording of it",
+    "mine.csv": "a file of another program; lampest import makes a recording of its readings",
+    "mine.png": "a picture",
+    "mine.bin": "another kind of file",
+    "empty.h5": "it is empty",
+    "damaged.h5": "it does not begin as one does",
+    "cut.h5": "it is cut off, 5000 of ",
+}
+
+
 def test_the_error_names_the_command_for_a_file_of_another_kind(
-    starter: Path, lampest: Command, name: str, kind: str
+    starter: Path, lampest: Command
 ) -> None:
     example = (starter / "example.h5").read_bytes()
     contents = {"empty.h5": b"", "cut.h5": example[:5000]}
-    if not (starter / name).exists():
-        (starter / name).write_bytes(contents.get(name, b"1,2,3\n"))
-    for command in ("info", "plot"):
-        completed = lampest(command, starter / name)
-        assert (
-            completed.code == 2 and kind in completed.err and "synchronously" not in completed.err
-        ), completed.err
+    for name, kind in OTHER_FILES.items():
+        if not (starter / name).exists():
+            (starter / name).write_bytes(contents.get(name, b"1,2,3\n"))
+        for command in ("info", "plot"):
+            completed = lampest(command, starter / name)
+            assert completed.code == 2 and kind in completed.err, completed.err
+            assert "synchronously" not in completed.err
 
 
 def test_commands_distinguish_recordings_from_results(starter: Path, lampest: Command) -> None:

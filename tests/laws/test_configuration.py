@@ -68,7 +68,7 @@ MEMBERS = [
     for word in words(member)
 ]
 
-MAX_DEPTH = 2  # what stands deeper in an example is an example of its own
+MAX_DEPTH = 1  # what stands deeper in an example is an example of its own
 
 
 def loaded(text: str, kind: Any) -> Any:

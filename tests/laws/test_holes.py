@@ -24,7 +24,7 @@ MAX_UNDAMAGED_ERROR = 0.006  # median of a recording's cells; limit: twice the v
 MAX_ERROR_ELSEWHERE = 0.05  # median over recordings, of cells with readings; measured 3.3 %
 MIN_HELD = 0.85  # of two holes each in two frames: 95 % less three standard deviations of 40 draws
 MIN_WIDTH = 1000.0  # upper over lower end where no reading determines the cell; measured 5,500
-SLOW_FORMULATIONS = ("nodal", "reduced", "smoother")  # seconds of readouts in volt
+SLOW_FORMULATIONS = ("per_pixel", "nodal", "reduced", "smoother")  # seconds of readouts in volt
 CASES = [
     pytest.param(
         kind(),

@@ -168,7 +168,10 @@ def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
         np.testing.assert_allclose(estimates[0], estimates[1], rtol=CONVERGED)
 
 
-@pytest.mark.parametrize("outline", OUTLINES)
+@pytest.mark.parametrize(
+    "outline",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == "ring")) for name in OUTLINES],
+)
 def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
     """With log_gradient the cell of a missing reading is estimated, and even cells stay even."""
     panel, _ = random_panel(outline, 4)

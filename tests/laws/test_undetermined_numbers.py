@@ -61,6 +61,10 @@ def no_loaded_reading(made: lampest.Recording) -> lampest.Recording:
 
 
 RECORDINGS = (one_measured_frame, unloaded_frames, constant, no_loaded_reading)
+SLOW_CASES = (  # a second each
+    (no_loaded_reading, "converter_memory"),
+    (no_loaded_reading, "readout.converter.zero_volt"),
+)
 # Unloaded frames determine these, and a lone frame shows whether its circuit explains it.
 DETERMINED = {
     unloaded_frames: {"gain", "ripple", "systematic.reading_error", OF_NOISE},
@@ -71,8 +75,14 @@ DETERMINED = {
 
 
 @promise("howto/error_bars: One that it cannot determine is a warning, with the reason")
-@pytest.mark.parametrize("key", KEYS)
-@pytest.mark.parametrize("weaken", RECORDINGS)
+@pytest.mark.parametrize(
+    ("weaken", "key"),
+    [
+        pytest.param(weaken, key, marks=[pytest.mark.slow] * ((weaken, key) in SLOW_CASES))
+        for weaken in RECORDINGS
+        for key in KEYS
+    ],
+)
 def test_a_number_that_a_recording_cannot_determine_has_a_reason(
     weaken: Callable[[lampest.Recording], lampest.Recording], key: str
 ) -> None:

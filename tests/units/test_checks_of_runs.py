@@ -273,6 +273,7 @@ def test_a_kept_check_is_described_without_the_libraries_of_estimates(folder: Pa
         subprocess.run([sys.executable, "-c", code + expected], cwd=folder, check=True)
 
 
+@pytest.mark.slow
 def test_info_looks_at_the_health_of_a_panel_once(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -60,7 +60,7 @@ def recording() -> lampest.Recording:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("formulation", ["nodal", "reduced"])
+@pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_a_readout_of_a_notebook_estimates_and_is_drawn(
     recording: lampest.Recording, formulation: Literal["nodal", "reduced"]
 ) -> None:
