@@ -140,6 +140,7 @@ class Copy:
         (work / "purpose.yaml").write_text(f"{SCENE}purpose: mat\n")
         (work / "run.yaml").write_text(
             "schema: 1\nrecordings: [mine.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
+            "check: none\n"
         )
         (work / "mine.csv").write_text("1,2,3,4\n5,6,7,8\n9,10,11,12\n")
         hidden = self.folder / "hidden"

@@ -236,15 +236,14 @@ def indented(page: Path) -> list[str]:
     [README, pytest.param(DOCS / "howto" / "python.md", marks=pytest.mark.slow)],
     ids=lambda page: page.name,
 )
-def test_python_of_a_page_runs(page: Path, tmp_path: Path) -> None:
+def test_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocks = [block for language, block in fences(page) if language == "python"]
     blocks += [block for block in indented(page) if block.startswith("import lampest")]
     assert blocks
     for name in ("configs", "data"):
         (tmp_path / name).symlink_to(REPOSITORY / name)
-    (tmp_path / "lampest").symlink_to(REPOSITORY / "lampest")
-    (tmp_path / "page.py").write_text("\n".join(blocks), encoding="utf-8")
-    run(tmp_path, f"{sys.executable} page.py")
+    monkeypatch.chdir(tmp_path)
+    exec("\n".join(blocks), {"__name__": "page"})
 
 
 def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:

@@ -169,7 +169,13 @@ def test_mutated_files_are_accepted_or_refused(
         assert receive(mutant, folder) in (TAKEN, REFUSED), number
 
 
-@pytest.mark.parametrize("scene", KNOWN, ids=["none", "divider", "loaded"])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param(scene, id=name, marks=[pytest.mark.slow] * (name != "divider"))
+        for name, scene in zip(("none", "divider", "loaded"), KNOWN, strict=True)
+    ],
+)
 @given(
     tables,
     st.sampled_from([",", ";", "\t", " ", ", "]),

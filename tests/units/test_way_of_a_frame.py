@@ -53,6 +53,7 @@ def test_a_run_makes_the_objects_of_the_page_in_its_order(tmp_path: Path) -> Non
     recording = write_recording(tmp_path / "small.h5")
     document.write_text(
         f"schema: 1\nrecordings: [{recording}]\nestimators: {estimators}\nformulation: reduced\n"
+        "check: none\n"
     )
     expected = [CLASSES.get(word, word) for word in objects]
     made = traced_classes(lambda: run_batch(read_run(document), tmp_path / "out", Serial()))
