@@ -149,19 +149,6 @@ def test_a_folder_admits_one_run_at_a_time(disk: SimpleNamespace, lampest: Comma
 
 
 @pytest.mark.slow
-def test_settings_of_the_command_override_the_file(disk: SimpleNamespace, lampest: Command) -> None:
-    arguments = ("--set", "formulation=per_pixel", "--set", "estimators.LSM.terms.misfit.weight=3")
-    assert (
-        lampest(
-            "run", disk.run(disk.text), "--out", disk.folder / "out", "--jobs", "1", *arguments
-        ).code
-        == 0
-    )
-    first, second, _ = cases(disk.folder / "out")
-    assert "formulation: per_pixel" in second.case_yaml and "weight: 3" in first.case_yaml
-
-
-@pytest.mark.slow
 def test_recordings_are_relative_to_the_run_file_and_results_hold_published_figures(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

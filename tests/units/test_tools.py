@@ -2,9 +2,12 @@
 
 import ast
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
+from tests.conftest import surplus
 from tests.mutation.__main__ import GOLDEN, guards_of
 from tests.mutation.operators import Mutant, mutants_of
 from tests.rounding import disturbed
@@ -72,3 +75,20 @@ def test_readings_are_disturbed_once_and_equal_ones_equally() -> None:
     np.testing.assert_array_equal(disturbed(readings[::-1]), changed[::-1])
     special = np.array([0.0, -np.inf, np.inf, np.nan])
     np.testing.assert_array_equal(disturbed(special), special)
+
+
+def test_fast_variants_of_a_test_are_spread_over_those_that_are_not_slow() -> None:
+    def variant(number: int, *, slow: bool) -> Any:
+        mark = "slow" if slow else None
+        return SimpleNamespace(
+            path=Path("test_a.py"),
+            name=f"test_a[{number}]",
+            originalname="test_a",
+            number=number,
+            get_closest_marker=lambda name: mark if name == mark else None,
+        )
+
+    variants = [variant(number, slow=number in (0, 5)) for number in range(6)]
+    for count, kept in ((1, {1}), (2, {1, 4}), (4, {1, 2, 3, 4}), (9, {1, 2, 3, 4})):
+        beyond = {item.number for item in surplus(variants, count)}
+        assert {1, 2, 3, 4} - beyond == kept and not beyond & {0, 5}

@@ -11,23 +11,17 @@ import numpy as np
 import pytest
 import serial
 from apps.board.bench import bench, loaded_scene, random_cells, scene
-from support import live_pictures
 
 from lampest import (
     MEASURED,
     UNLOADED,
     Array,
-    Estimator,
-    Faults,
-    Misfit,
     Recording,
     import_file,
     two_point_resistance,
 )
 from lampest.apps.board.record import record
 from lampest.apps.board.sample import Listening
-from lampest.apps.live.run import recorded_from_board
-from lampest.estimate.sequence import reconstruct
 from tests.netlist import impedance_of
 
 # Of 2,000 readings: three standard errors of their spread are 5 %; the mean of rounded codes is off
@@ -145,39 +139,6 @@ def test_the_library_lists_its_headers() -> None:
 # Both wirings.
 
 WIRINGS = {"two_point": scene, "loaded_columns": loaded_scene}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "wiring", [pytest.param("two_point", marks=pytest.mark.slow), "loaded_columns"]
-)
-def test_live_readings_equal_those_of_the_file(tmp_path: Path, wiring: str) -> None:
-    """Live and file use the readout's σ, because a single unloaded frame has no repeats.
-
-    The two-point panel has a dead row.
-    """
-    truth = np.repeat(random_cells(np.random.default_rng(8), 1, 8, 7), 4, axis=0)
-    truth[1:, 5:7, 2:5] *= np.array([0.3, 0.2, 0.1])[:, None, None]
-    known = WIRINGS[wiring](8, 7)
-    estimator = Estimator((Misfit(),), "reduced")
-    out = tmp_path / "r.h5"
-    dead = [3] if wiring == "two_point" else []
-    truth[:, dead] = np.inf
-    known = replace(known, faults=Faults(dead_rows=(3,)) if dead else None)
-    with bench(tmp_path, truth, wiring=wiring) as board:
-        source = Listening((board.port,), known, 1)
-        pictures = live_pictures(
-            estimator, 1, lambda engine: recorded_from_board(engine, source, out, 4)
-        )
-    cells = reconstruct(Recording.load(out), estimator)
-    assert [picture.status for picture in pictures] == ["local optimum verified"] * 3
-    ratio = np.array([1 + picture.relative_change / 100 for picture in pictures])
-    np.testing.assert_allclose(
-        ratio, cells.cell_resistance / cells.baseline_resistance, rtol=1e-9 if dead else 1e-7
-    )
-    ratio = np.delete(ratio, dead, axis=1)
-    truth = np.delete(truth, dead, axis=1)
-    assert np.median(np.abs(ratio / (truth[1:] / truth[0]) - 1)) < CODE_ERROR
 
 
 @pytest.mark.long
