@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from promises import promise
+from support import invented_case
 
 import lampest
 from lampest import (
@@ -344,7 +345,7 @@ def test_labelled_arrays_agree_with_results_files(estimate: Reconstruction, tmp_
 def test_errors_name_the_kind_of_a_file_and_a_missing_library(
     estimate: Reconstruction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    estimate.save(tmp_path / "r.h5")
+    lampest.write_results(tmp_path / "r.h5", [invented_case()])
     with pytest.raises(InputError, match=r"r\.h5: holds results; lampest\.read_results reads them"):
         Recording.load(tmp_path / "r.h5")
     monkeypatch.setitem(sys.modules, "xarray", None)

@@ -413,13 +413,9 @@ STATIC = Systematic(reading_error="estimated")
 STATIC_LINE = "systematic: {reading_error: estimated}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("size", "seeds"),
-    [
-        pytest.param(0.01, range(8), marks=pytest.mark.slow),
-        (0.03, range(20, 28)),
-        pytest.param(0.1, range(20, 26), marks=pytest.mark.slow),
-    ],
+    ("size", "seeds"), [(0.01, range(8)), (0.03, range(20, 28)), (0.1, range(20, 26))]
 )
 def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, seeds: range) -> None:
     """Large ones bend the answer and press cells against their bounds.
