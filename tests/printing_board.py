@@ -55,6 +55,11 @@ def labelled_cells(number: int, codes: Array) -> str:
     return "".join(f"r{row}c{column}:{codes[row, column]}\n" for row, column in places)
 
 
+def numbered_cells(number: int, codes: Array) -> str:
+    """A line for each cell, as 0,512."""
+    return "".join(f"{cell},{code}\r\n" for cell, code in enumerate(codes.ravel()))
+
+
 def json_frames(number: int, codes: Array) -> str:
     """An object for each frame."""
     return json.dumps({"t": STEP_MS * number, "data": codes.tolist()}) + "\n"
@@ -65,6 +70,7 @@ FORMS: tuple[Form, ...] = (
     rows_with_tabs_and_a_title,
     frame_with_millis,
     labelled_cells,
+    numbered_cells,
     json_frames,
 )
 

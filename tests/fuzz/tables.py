@@ -181,6 +181,15 @@ def single_values(values: Array, rng: Rng) -> Iterator[Line]:
             )
 
 
+def numbered_cells(values: Array, rng: Rng) -> Iterator[Line]:
+    """A line for each cell with its number, from 0 or 1."""
+    form = str(rng.choice(["{c},{v}", "{c}: {v}", "S{c}={v}", "Sensor {c}: {v}", "{t};{c};{v}"]))
+    first = int(rng.integers(0, 2))
+    for number, frame in enumerate(values):
+        for cell, code in enumerate(frame.ravel().tolist()):
+            yield Line(form.format(t=40 * number, c=cell + first, v=code), number)
+
+
 def timed_rows(values: Array, rng: Rng) -> Iterator[Line]:
     """Named rows, each with a time of its own."""
     rows = values.shape[1]
@@ -295,6 +304,7 @@ LAYOUTS: dict[str, Callable[[Array, Rng], Iterator[Line]]] = {
         unnamed_rows_in_time,
         blocks,
         single_values,
+        numbered_cells,
         timed_rows,
         json_rows,
         json_cells,
@@ -472,6 +482,13 @@ def table(rng: Rng, layouts: Sequence[str] = tuple(LAYOUTS)) -> Table:
     text = "\n".join(line.text for line in lines)
     text = text[: text.index("\0")] if "\0" in text else f"{text}\n"
     return Table(f"{layout}, {damage}", text, values)
+
+
+def whole_table(rng: Rng, layout: str) -> Table:
+    """Return a table of a layout without a damage."""
+    values = codes(rng)
+    text = "".join(f"{line.text}\n" for line in LAYOUTS[layout](values, rng))
+    return Table(layout, text, values)
 
 
 def outcome(drawn: Table, folder: Path) -> str:

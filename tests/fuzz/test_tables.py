@@ -56,6 +56,51 @@ def test_lines_that_come_one_by_one_give_the_same_frames(count: int) -> None:
             assert nearest < EXACT, f"TABLES_SEED={SEED}, {number}: {drawn.name}"
 
 
+@pytest.mark.parametrize("layout", tables.LAYOUTS)
+def test_a_file_and_a_port_give_the_same_frames(tmp_path: Path, layout: str) -> None:
+    """A board that printed cells by their numbers from 0 was shown with all of them shifted."""
+    for number in range(3):
+        drawn = tables.whole_table(np.random.default_rng([SEED, 3000 + number]), layout)
+        (tmp_path / "m.log").write_text(drawn.text)
+        shape = drawn.codes.shape[1:]
+        recording, _ = import_file(tmp_path / "m.log", *shape, unit="ohm", period=0.04)
+        reader = LineReader(shape)
+        frames = [frame for line in drawn.text.splitlines() for frame in reader.feed(line)]
+        live = [frame.values for frame in (*frames, *reader.close())]
+        np.testing.assert_array_equal(recording.recorded, drawn.codes)
+        np.testing.assert_array_equal(live, drawn.codes)
+
+
+@pytest.mark.parametrize("form", ["{c},{v}", "{r},{q},{v}"])
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_number_that_is_cut_to_0_does_not_shift_the_cells(
+    tmp_path: Path, form: str, first: int
+) -> None:
+    """A port is opened within a line, such as within 10 of `10,523`."""
+    codes = tables.codes(np.random.default_rng(11), 6, 6)
+    lines = [
+        form.format(c=6 * row + column + first, r=row + first, q=column + first, v=code)
+        for (_, row, column), code in np.ndenumerate(codes)
+    ]
+    lines = [form.format(c=0, r=0, q=first, v=599), *lines[-8:], *lines]
+    drawn = tables.Table(form, "\n".join([*lines, ""]), codes)
+    assert tables.outcome(drawn, tmp_path) == "right"
+    reader = LineReader(codes.shape[1:])
+    live = [frame.values for line in lines for frame in reader.feed(line)]
+    np.testing.assert_array_equal(live[-len(codes) + 1 :], codes[1:])
+
+
+def test_a_damaged_name_of_a_cell_ends_no_reader() -> None:
+    """A single line without a number ended a recording once its cells were known."""
+    codes = tables.codes(np.random.default_rng(12), 4, 4)
+    lines = [f"{row},{column},{code}" for (_, row, column), code in np.ndenumerate(codes)]
+    lines[100] = "\a" + lines[100][1:]
+    reader = LineReader(codes.shape[1:])
+    live = np.array([frame.values for line in lines for frame in reader.feed(line)])
+    assert 1 <= np.isnan(live).sum() < codes[0].size
+    np.testing.assert_array_equal(np.where(np.isnan(live), codes, live), codes)
+
+
 def test_a_reader_says_why_lines_are_not_understood() -> None:
     reader = LineReader((3, 4), source="/dev/ttyUSB0")
     for number in range(40):

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.apps.foreign.arrays import Shape
 from lampest.apps.foreign.clocks import EPOCH as LEAST_EPOCH
 from lampest.apps.foreign.clocks import grows, is_stamp, unwrapped
+from lampest.apps.foreign.places import first_number, places_named, within_panel
 from lampest.apps.foreign.table import ReadingsTable
-from lampest.apps.foreign.words import MAX_CUT, PART_OF_CLOCK, line_of, parted
+from lampest.apps.foreign.words import MAX_CUT, PART_OF_CLOCK, parted
 from lampest.panel.panel import Array, Mask
 
 MAX_BESIDE = 8  # fields beside the readings of a line that names none
@@ -131,7 +131,7 @@ def _names_beside(
     """
     names = [
         "row"
-        if rows > 1 and at < lead and _is_row(table.fields[:, field], rows)
+        if rows > 1 and at < lead and _is_row(table, field, rows)
         else _name_of(table, field, rows, mark=bool(marks[field]))
         for at, field in enumerate(fields)
     ]
@@ -186,16 +186,16 @@ def _counting(values: Array) -> Array:
     return values + size * np.cumsum(np.append(0, wraps))
 
 
-def _is_row(texts: NDArray[np.object_], rows: int) -> bool:
-    """Return whether texts count the rows of every frame, from 0 or 1.
-
-    The texts are numbers, or names such as R3.
-    """
-    numbers = np.array([(line_of(text) or ("", -1))[1] for text in texts])
-    first = int(numbers.min())
-    follows = (np.diff(numbers) == 1) | (np.diff(numbers) < 0)
-    counted = first in (0, 1) and int(numbers.max()) - first == rows - 1
-    return counted and bool(np.mean(follows) >= 1 - MAX_CUT)
+def _is_row(table: ReadingsTable, field: int, rows: int) -> bool:
+    """Return whether a field counts the rows of every frame, from 0 or 1: 3, R3 or 'row 3'."""
+    role = {"row": field}
+    shape = (rows, 1)
+    places = places_named(table, role, shape, first_number(table, role, shape))
+    numbers = places[within_panel(places, shape)[:, 0], 0]
+    steps = np.diff(numbers)
+    follows = np.mean((steps == 1) | (steps < 0)) >= 1 - MAX_CUT if len(steps) else False
+    named = len(numbers) >= (1 - MAX_CUT) * len(places)
+    return bool(follows and named and len(np.unique(numbers)) == rows)
 
 
 def _is_clock(values: Array) -> bool:

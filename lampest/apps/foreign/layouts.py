@@ -14,6 +14,7 @@ import numpy as np
 from lampest.apps.foreign.arrays import Shape
 from lampest.apps.foreign.beside import described, with_one_clock
 from lampest.apps.foreign.clocks import is_stamp
+from lampest.apps.foreign.places import first_number, places_named, within_panel
 from lampest.apps.foreign.table import ReadingsTable
 from lampest.apps.foreign.words import COLUMN, MAX_CUT, ROW, cell_of, line_of, role_of
 from lampest.files.errors import InputError, counted
@@ -64,16 +65,13 @@ class TableLayout:
 
     def positions(self, table: ReadingsTable) -> Numbers | None:
         """Return the position of each line, -1 where it is missing; None if lines name none."""
-        if "row" in self.roles and "column" not in self.roles:
-            rows = table.line_numbers(self.roles["row"]) - self.first
-            within = (rows >= 0) & (rows < self.shape[0]) & (rows == np.round(rows))
-            return np.where(within, rows, -1).astype(np.intp)
-        if not {"column", "cell"} & set(self.roles):
+        if not {"row", "column", "cell"} & set(self.roles):
             return None
-        places = _places(table, self.roles, self.shape)[0] - self.first
-        within = np.all((places >= 0) & (places < self.shape), axis=1)
+        places = places_named(table, self.roles, self.shape, self.first)
+        within = within_panel(places, self.shape).all(axis=1)
         rows, columns = np.where(within[:, None], places, 0).T.astype(np.intp)
-        return np.where(within, rows * self.shape[1] + columns, -1)
+        cells = rows * self.shape[1] + columns
+        return np.where(within, cells * self.lines // (self.shape[0] * self.shape[1]), -1)
 
     @property
     def used(self) -> frozenset[int]:
@@ -234,109 +232,81 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
         order = {role: roles.index(role) for role in reversed(roles) if role is not None}
         has_place = {"row", "column"} <= set(order) or "cell" in order
         return order if "value" in order and has_place else None
-    if table.width == 2 and shape[1] > 2:
-        numbers = table.values[:, 0]
-        counts = numbers[0] in (0, 1) and numbers.max() - numbers[0] == cells - 1
-        if counts and np.all(numbers == np.round(numbers)):
-            return {"cell": 0, "value": 1}
-    if table.width not in (3, 4) or table.width in (cells, cells + 1):
+    if table.width not in (2, 3, 4) or table.width in (cells, cells + 1):
         return None
     places = _places_by_values(table, shape)
-    if places is None and table.width not in (shape[1], shape[1] + 1):
+    if places is None and table.width not in (2, shape[1], shape[1] + 1):
         places = dict(zip(("row", "column", "value", "frame"), range(table.width), strict=False))
     return places
 
 
 def _places_by_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
-    """Return the fields of row, column, value and counter by role; None without such fields.
+    """Return the fields of row and column, or cell, of value and counter by role, or None.
 
-    Two neighbouring fields take the numbers of rows and of columns alone, in either order. The
-    counter of frames or the time stands before them, or behind the value.
+    Two neighbouring fields take the numbers of rows and of columns alone, in either order, or one
+    field counts the cells. The value stands behind them; the counter of frames or the time stands
+    before them, or behind the value.
     """
+    cells = shape[0] * shape[1]
     before = table.width - 3
-    numbers = [table.line_numbers(field) for field in range(table.width)]
-    for row, column in ((before, before + 1), (before + 1, before), (0, 1), (1, 0)):
-        if not (_counts(numbers[row], shape[0]) and _counts(numbers[column], shape[1])):
+    pairs = ((before, before + 1), (before + 1, before), (0, 1), (1, 0))
+    options = [{"row": row, "column": column} for row, column in pairs if table.width > 2]
+    if shape[1] > 1:
+        options += [{"cell": field} for field in (table.width - 2, 0)]
+    for roles in options:
+        places = places_named(table, roles, shape, first_number(table, roles, shape))
+        within = within_panel(places, shape).all(axis=1)
+        named = places[within]
+        steps = np.diff(named @ np.array([shape[1], 1]))
+        kinds = [len(np.unique(numbers)) for numbers in named.T]
+        if "cell" in roles:
+            clear = len(np.unique(named, axis=0)) == cells and np.median(np.abs(steps)) == 1
+        else:
+            clear = len(named) == 1 or np.all((np.array(kinds) > 1) | (np.array(shape) == 1))
+        if np.mean(within) < 1 - MAX_CUT or not clear:
             continue
-        value = max(row, column) + 1
-        counters = [field for field in range(table.width) if field not in (row, column, value)]
-        places = {"row": row, "column": column, "value": value}
-        return places | {_counter_role(numbers[field]): field for field in counters}
+        value = max(roles.values()) + 1
+        counters = [at for at in range(table.width) if at not in (*roles.values(), value)]
+        of_counters = {_counter_role(table.line_numbers(at)): at for at in counters}
+        return roles | {"value": value} | of_counters
     return None
-
-
-def _counts(numbers: Array, size: int) -> bool:
-    """Return whether nearly all numbers, (lines,), are those of `size` rows or columns."""
-    first = float(not np.any(numbers == 0))
-    within = (numbers >= first) & (numbers < first + size) & (numbers == np.round(numbers))
-    varies = len(numbers) == 1 or size == 1 or len(np.unique(numbers[within])) > 1
-    return bool(np.mean(within) >= 1 - MAX_CUT and varies)
 
 
 def _counter_role(numbers: Array) -> str:
     """Return 'frame' for numbers, (lines,), that count by one, otherwise 'time'."""
     distinct = np.unique(numbers[np.isfinite(numbers)])
-    whole = np.all(distinct == np.round(distinct))
+    whole = len(distinct) and np.all(distinct == np.round(distinct))
     return (
         "frame" if whole and np.median(np.diff(distinct, prepend=distinct[:1] - 1)) == 1 else "time"
     )
 
 
-def _indices(table: ReadingsTable, column: int) -> Array:
-    """Return the row or column numbers in a field; NaN where a line has none.
-
-    Raises InputError if more than a few lines have another text.
-    """
-    values = table.line_numbers(column)
-    with np.errstate(invalid="ignore"):
-        bad = ~np.isfinite(values) | (values != np.round(values))
-    if np.sum(bad & (table.fields[:, column] != "")) > MAX_CUT * len(bad):
-        table.refuse(bad, column, "{0} is no index")
-    return np.where(bad, np.nan, values)
-
-
 def _values_in_lines(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> TableLayout:
-    """Return the layout of a table of single values, with the fields `order` by role."""
+    """Return the layout of a table of single values, with the fields `order` by role.
+
+    Raises InputError if more than a few lines name no cell of the panel.
+    """
     if {"row", "column"} <= set(order):
         order = {role: at for role, at in order.items() if role != "cell"}
     listed = ", ".join(sorted(order, key=order.__getitem__))
     roles = {role: at for role, at in order.items() if role in ("row", "column", "cell", "frame")}
-    places, names = _places(table, roles, shape)
-    read = np.isfinite(places)
-    within = read & (places >= 0) & (places <= shape)
-    first = int(not np.any(within & (places == 0)))
-    for axis, name in enumerate(names):
-        bad = read[:, axis] & ((places[:, axis] < first) | (places[:, axis] >= first + shape[axis]))
+    first = first_number(table, roles, shape)
+    places = places_named(table, roles, shape, first)
+    strange = ~within_panel(places, shape)
+    for axis, axis_name in enumerate(("row", "column")):
+        role = "cell" if "cell" in roles else axis_name
+        field = roles[role]
+        bad = strange[:, axis] & (table.fields[:, field] != "")
         if bad.sum() > MAX_CUT * len(bad):
-            beyond = f"is beyond the panel's {first} to {first + shape[axis] - 1}"
-            table.refuse(bad, roles[name], f"{('row', 'column')[axis]} {{0}} {beyond}")
+            beyond = f"{axis_name} {{0}} is beyond the panel's {first} to {first + shape[axis] - 1}"
+            if role == "cell":
+                beyond = f"cell {{0}} is beyond the panel of {shape[0]} × {shape[1]} cells"
+            number = places[np.argmax(bad), axis]
+            table.refuse(bad, field, beyond if number == np.round(number) else "{0} is no index")
     times = tuple(order[role] for role in ("date", "time") if role in order)
     note = f"one value a line as {listed}; indices count from {first}"
     cells = {order["value"]: (0, 0)}
     return TableLayout(shape, shape[0] * shape[1], cells, note, roles, times, first)
-
-
-def _places(
-    table: ReadingsTable, roles: Mapping[str, int], shape: Shape
-) -> tuple[Array, list[str]]:
-    """Return the row and the column that each line names, (lines, 2), and the roles that say so.
-
-    They are counted as in the file; NaN where a line names none. Raises InputError if more than a
-    few lines name none.
-    """
-    if "cell" in roles:
-        texts = table.fields[:, roles["cell"]]
-        named = {text: cell_of(text) for text in set(texts.tolist())}
-        if sum(cell is not None for cell in named.values()) > len(named) / 2:
-            nowhere = (np.nan, np.nan)
-            places = np.array([named[text] or nowhere for text in texts], dtype=float)
-        else:
-            numbers = _indices(table, roles["cell"])
-            first = float(not np.any(numbers == 0))
-            places = np.stack(np.divmod(numbers - first, shape[1]), axis=1) + first
-        return places, ["cell", "cell"]
-    rows, columns = (_indices(table, roles[role]) for role in ("row", "column"))
-    return np.stack([rows, columns], axis=1), ["row", "column"]
 
 
 def _rows_in_lines(table: ReadingsTable, shape: Shape) -> TableLayout:
@@ -361,9 +331,10 @@ def _rows_in_lines(table: ReadingsTable, shape: Shape) -> TableLayout:
             roles["row"] = labelled
             texts = table.fields[:, labelled]
             lines = [line_of(text) or ("", -1) for text in texts]
-            named_rows = np.array([number for _, number in lines])
-            first = int(not np.any(named_rows == 0))
-            bad = (named_rows < first) | (named_rows - first >= shape[0])
+            first = first_number(table, {"row": labelled}, shape)
+            bad = ~within_panel(places_named(table, {"row": labelled}, shape, first), shape).all(
+                axis=1
+            )
             if np.sum(bad & (texts != "")) > MAX_CUT * len(bad):
                 table.refuse(bad, labelled, f"{{0!r}} is none of the panel's {shape[0]} rows")
             columns = np.array([re.fullmatch(COLUMN, word) is not None for word, _ in lines])

@@ -290,7 +290,8 @@ def _plain(content: str) -> str:
         return content
     values_text = content[labelled.end() :]
     sign = next((sign for sign in DELIMITERS if sign in values_text), " ")
-    return f"{labelled[labelled.lastindex or 0]}{sign}{values_text}"
+    label = labelled[labelled.lastindex or 0].replace(" ", "_")
+    return f"{label}{sign}{values_text}"
 
 
 def _without_letters(content: str) -> str:
