@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lampest.apps.foreign.clocks import is_stamp
 from lampest.apps.foreign.lines import DAMAGED, WRITTEN, FieldLines
 from lampest.apps.foreign.notation import SAMPLED
-from lampest.apps.foreign.table import Form, ReadingsTable
+from lampest.apps.foreign.table import MIN_SAME, Form, ReadingsTable
 from lampest.apps.foreign.words import (
     MAX_CUT,
     cell_of,
@@ -24,6 +24,7 @@ from lampest.apps.foreign.words import (
 from lampest.files.errors import InputError, counted, first_and_more
 from lampest.panel.panel import Array, Mask, Numbers
 
+MAX_SHOWN = 40  # characters of a line in a message
 MAX_BROKEN = 0.01  # of the lines may be parts of others; more are titles
 # Words before rows of a sheet that are computed from others.
 STATISTICS = re.compile(
@@ -121,7 +122,11 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
             above = ", with the names of the line above" if has_units_line else ""
             note = f"{source.called(header)} taken as header{above}"
     if not np.any(data):
-        raise InputError(f"{source.source}: holds a header but no values")
+        if header is not None:
+            raise InputError(f"{source.source}: holds a header but no values")
+        line = source.lines[int(np.argmax(plain))]
+        shown = " ".join(line.texts)[:MAX_SHOWN]
+        raise InputError(f"{source.at(line.number, None)}: {shown!r}, as all lines, is no readings")
     table = lines_of_form(form, source, parsed, first)
     notation = ", ".join((*source.notes, *(["decimal commas"] if comma else [])))
     table = replace(table, notes=(*filter(None, (notation, note)), *table.notes))
@@ -261,7 +266,7 @@ def _excluded_note(source: FieldLines, fields: NDArray[Any], excluded: Mask) -> 
     lines = np.flatnonzero(excluded).tolist()
     if not lines:
         return ""
-    shown = " ".join(fields[lines[0]]).strip()[:40]
+    shown = " ".join(fields[lines[0]]).strip()[:MAX_SHOWN]
     named = first_and_more([source.lines[line].number for line in lines])
     called = (
         f"{source.word}s {named} (the first: {shown!r})"
@@ -288,7 +293,8 @@ def _data_lines(source: FieldLines, parsed: Parsed, usual: int, *, alone: bool) 
     """Return whether a line has data, boolean (lines,).
 
     A line of data has a number or, in place of all `usual` ones, words for missing ones, and few
-    other words. It is no mean of other lines, and no single number unless these stand `alone`.
+    other words, but for those that stand among the numbers of several lines: readings that are
+    none. It is no mean of other lines, and no single number unless these stand `alone`.
     """
     fields = source.fields
     words = parsed.words
@@ -298,13 +304,23 @@ def _data_lines(source: FieldLines, parsed: Parsed, usual: int, *, alone: bool) 
         for text in set(fields[words].tolist())
         if not (is_stamp(text) or line_of(text) or cell_of(text))
     }
-    foreign = np.zeros(len(fields), dtype=int)
+    summaries = set(filter(STATISTICS.fullmatch, strange))
     total = filled.sum(axis=1)
-    np.add.at(foreign, np.nonzero(words)[0], [text in strange for text in fields[words]])
-    few = ((foreign <= 1) & (2 * foreign < total)) | (4 * foreign < total)
+
+    def few_foreign() -> Mask:
+        """Return whether lines have few strange words, beside more numbers."""
+        foreign = np.zeros(len(fields), dtype=int)
+        np.add.at(foreign, np.nonzero(words)[0], [text in strange for text in fields[words]])
+        return ((foreign <= 1) & (2 * foreign < total)) | (4 * foreign < total)
+
+    few = few_foreign()
+    if strange:
+        lines, texts = np.nonzero(words & few[:, None])[0], fields[words & few[:, None]]
+        often = Counter(text for _, text in set(zip(lines.tolist(), texts.tolist(), strict=True)))
+        strange -= {text for text, count in often.items() if count >= MIN_SAME}
+        few = few_foreign()
     few &= (source.counts > 1) | alone
     few &= ~np.isnan(parsed.values).all(axis=1) | (source.counts == usual)
-    summaries = set(filter(STATISTICS.fullmatch, strange))
     if summaries:
         few &= [not summaries.intersection(line[:2]) for line in fields.tolist()]
     return np.asarray(few & ~source.comment & (filled & ~words).any(axis=1))

@@ -284,7 +284,8 @@ def _counter_role(numbers: Array) -> str:
 def _values_in_lines(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> TableLayout:
     """Return the layout of a table of single values, with the fields `order` by role.
 
-    Raises InputError if more than a few lines name no cell of the panel.
+    Raises InputError if more than a few lines name no cell of the panel, or if they may count from
+    0 or from 1.
     """
     if {"row", "column"} <= set(order):
         order = {role: at for role, at in order.items() if role != "cell"}
@@ -303,6 +304,12 @@ def _values_in_lines(table: ReadingsTable, shape: Shape, order: dict[str, int]) 
                 beyond = f"cell {{0}} is beyond the panel of {shape[0]} × {shape[1]} cells"
             number = places[np.argmax(bad), axis]
             table.refuse(bad, field, beyond if number == np.round(number) else "{0} is no index")
+    if np.array_equal(strange, ~within_panel(places_named(table, roles, shape, 1 - first), shape)):
+        names = "cells" if "cell" in roles else "rows and columns"
+        raise InputError(
+            f"{table.place(0, None)}: {names} may count from 0 or from 1: "
+            "no line names the first or the last"
+        )
     times = tuple(order[role] for role in ("date", "time") if role in order)
     note = f"one value a line as {listed}; indices count from {first}"
     cells = {order["value"]: (0, 0)}

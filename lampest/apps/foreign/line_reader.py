@@ -198,7 +198,9 @@ class LineReader:
             return ()
         # A lost line among few may hide that a pause, a time or a title ends frames.
         least = MIN_COUNTED if ends.counted and ends.lines > 1 else MIN_FRAMES
-        if len(table.lines) < (1 if ended else least) * ends.lines + ends.lines:
+        # Of a frame's first lines more than one field may name rows or cells.
+        frame = max(ends.lines, arrangement.lines // 2)
+        if len(table.lines) < (1 if ended else least) * frame + frame:
             return ()
         self.refusal = ""
         parts = notation.parts if arrangement.lines == 1 else 1

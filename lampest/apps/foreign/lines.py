@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from lampest.apps.foreign.arrays import check_archive, reading
 from lampest.apps.foreign.clocks import is_stamp
 from lampest.apps.foreign.notation import MAX_LINE, SAMPLED_LINES, Notation, stamp_and_content
-from lampest.apps.foreign.words import line_of
+from lampest.apps.foreign.words import MAX_CUT, line_of
 from lampest.files.errors import InputError, counted, extra
 from lampest.panel.panel import Mask, Numbers
 
 DAMAGED = "\ufffd"  # in place of a byte that no text holds
-# Share of such bytes; a serial line loses one now and then, and binary files have many more.
+# Share of such bytes; a serial line loses one now and then, and binary files have many more. They
+# are in more than a few lines: a board that starts at another rate damages the first ones alone.
 MAX_DAMAGED = 0.01
 # Letters of Western Europe in words, and µ and ° before a unit, in the single bytes that Excel
 # writes on Windows.
@@ -269,7 +270,9 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     damaged = text.count(DAMAGED)
     if damaged and not wide and not data.isascii() and WINDOWS_WORDS.sub(b"", data).isascii():
         return data.decode("cp1252", errors="replace"), ["Windows-1252"]
-    if damaged > max(1, MAX_DAMAGED * len(text)):
+    lines = re.split(r"\r\n|\r|\n", text)
+    share = sum(DAMAGED in line for line in lines) / len(lines)
+    if damaged > max(1, MAX_DAMAGED * len(text)) and share > MAX_CUT:
         line = text.count("\n", 0, text.index(DAMAGED)) + 1
         wrong = f"{damaged} of {len(text)} bytes are no text"
         raise InputError(

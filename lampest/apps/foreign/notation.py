@@ -46,11 +46,12 @@ ENCLOSED = re.compile(
 # '0.1,"[512, 511]"', '0.1;[[512 511] [513 514]]': a list behind other fields
 LISTED = re.compile(r'^(.*?[,;\t ])"?(\[[\[\s]*[-+.\d]+[,;\s][^"]*\])"?(.*)$')
 # 'r0c0:512' of the Serial Plotter, '[0][0] = 512'
+VALUE = r"\s*[:=]\s*(?P<value>[-+.]?\d[^\s,;:=]*|nan|ovf|null)"
 PAIR = re.compile(
-    r"(?P<name>[^\W\d][\w ./\[\]()-]*?|[\[(]\d+(?:\]\[|, ?)\d+[\])])\s*"
-    r"[:=]\s*(?P<value>[-+.]?\d[^\s,;:=]*|nan|ovf|null)",
-    re.IGNORECASE,
+    r"(?P<name>[^\W\d][\w ./\[\]()-]*?|[\[(]\d+(?:\]\[|, ?)\d+[\])])" + VALUE, re.IGNORECASE
 )
+# 'Row 0, Col 3: 512', 'Value at (0, 3) = 512': the only pair of a line
+CELL = re.compile(r"(?P<cell>(?:[^\W\d]|[\[(]).*?)" + VALUE, re.IGNORECASE)
 BETWEEN_PAIRS = re.compile(r"[\s,;]*")
 # '1,2,3;4,5,6;', '[1 2 3; 4 5 6]' of MATLAB, '1 2 3 | 4 5 6': several rows in a line
 BETWEEN_ROWS = re.compile(r"\d[\s,]*([;|])\s*(?=[-+.\d]|$)")
@@ -222,6 +223,9 @@ def values_beside_names(content: str) -> dict[str, str] | None:
     if content.startswith(">"):
         match = TELEPLOT.fullmatch(content)
         return match and {name: text for name, text in match.groupdict().items() if text}
+    single = CELL.fullmatch(content)
+    if single is not None and cell_of(single["cell"]):
+        return single.groupdict()
     values: dict[str, str] = {}
     at = 0
     while at < len(content):
@@ -234,10 +238,7 @@ def values_beside_names(content: str) -> dict[str, str] | None:
         at = end.end()
         if at == pair.end() < len(content):
             return None
-    if len(values) == 1:
-        ((name, value),) = values.items()
-        return {"cell": name, "value": value} if cell_of(name) else None
-    return values or None
+    return values if len(values) > 1 else None
 
 
 def flat_names(record: dict[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,6 +38,7 @@ TITLE_TIME = re.compile(
     re.IGNORECASE,
 )
 NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
+MIN_SAME = 3  # readings with the same word in their place, which no damage of a line writes
 
 
 @dataclass(frozen=True)
@@ -240,10 +242,16 @@ class ReadingsTable:
         return Frames(self.values.ravel(), number, named, timing, notes, words, parts)
 
     def refuse_words(self, fields: Iterable[int], most: float = 0.0) -> None:
-        """Raise InputError with the place if more than a fraction of a field's texts are words."""
-        for at in fields:
+        """Raise InputError with the place if more than a fraction of a field's texts are words.
+
+        Fewer are damaged readings, unless the same word stands in place of several ones.
+        """
+        readings = sorted(fields)
+        often = Counter(self.fields[:, readings][self.words[:, readings]].tolist())
+        same = {text for text, count in often.items() if count >= MIN_SAME}
+        for at in readings:
             words = self.words[:, at]
-            if np.mean(words) > most:
+            if np.mean(words) > most or not same.isdisjoint(self.fields[words, at]):
                 self.refuse(words, at, f"{{0!r}} is no number (field {at + 1} of the line)")
 
     def refuse(self, bad: Mask, field: int, why: str) -> None:

@@ -65,26 +65,21 @@ COLUMN = r"(?:c|cols?|columns?|spalte|s|x)"
 GAP = r"[_,;/|=\[\]()]*"
 # In brackets: a part of a cell's name, no unit.
 LINE_NUMBER = re.compile(rf"(?:{ROW}|{COLUMN})\s*{GAP}\s*\d{{1,9}}")
+WORDS = r"[a-z_,;/|=\[\]()]*?"  # before the numbers, as in 'value_at_(0,3)'
 CELLS = (
-    re.compile(
-        rf"(?:[a-z]+{GAP})??{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}"
-    ),
-    re.compile(
-        rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}"
-    ),
-    re.compile(
-        rf"(?:[a-z]+{GAP}|{GAP})(?P<row>\d{{1,9}})[_,;/|x\[\]()]+(?P<column>\d{{1,9}}){GAP}"
-    ),
+    re.compile(rf"{WORDS}{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}"),
+    re.compile(rf"{WORDS}{COLUMN}{GAP}(?P<column>\d{{1,9}}){GAP}{ROW}{GAP}(?P<row>\d{{1,9}}){GAP}"),
+    re.compile(rf"{WORDS}(?P<row>\d{{1,9}})[_,;/|x\[\]()]+(?P<column>\d{{1,9}}){GAP}"),
 )
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d{{1,9}}){GAP}")
 
 # Characters of a name or a number that are analysed; patterns would take long for more.
 MAX_LENGTH = 100
 # Words for missing or infinite numbers, as written by NumPy, R, MATLAB, JSON, Arduino's Print
-# (ovf), multimeters (OL), Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
+# (ovf), multimeters (OL, open), Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
 NO_NUMBERS = _by_word(
-    nan="nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error "
-    "missing ? ?? . -inf -infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan "
+    nan="nan -nan +nan na n/a n.a. null none nil ovf -ovf ol o.l o.l. ovl open overload overflow "
+    "over err error missing ? ?? . -inf -infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan "
     "#n/a #na #div/0! #num! #value! #ref!",
     inf="inf +inf infinity +infinity ∞ 1.#inf",
 )
