@@ -122,11 +122,12 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
             above = ", with the names of the line above" if has_units_line else ""
             note = f"{source.called(header)} taken as header{above}"
     if not np.any(data):
-        if header is not None:
-            raise InputError(f"{source.source}: holds a header but no values")
         line = source.lines[int(np.argmax(plain))]
         shown = " ".join(line.texts)[:MAX_SHOWN]
-        raise InputError(f"{source.at(line.number, None)}: {shown!r}, as all lines, is no readings")
+        if header is None and re.search(r"\d", shown):
+            place = source.at(line.number, None)
+            raise InputError(f"{place}: {shown!r}, as all lines, is no readings")
+        raise InputError(f"{source.source}: holds a header but no values")
     table = lines_of_form(form, source, parsed, first)
     notation = ", ".join((*source.notes, *(["decimal commas"] if comma else [])))
     table = replace(table, notes=(*filter(None, (notation, note)), *table.notes))

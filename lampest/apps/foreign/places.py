@@ -44,10 +44,10 @@ def first_number(table: ReadingsTable, roles: Mapping[str, int], shape: Shape) -
     """Return the number from which lines count rows, columns or cells, 0 or 1.
 
     Fewer lines are beyond the panel then: a number may be cut at the beginning of a file or port.
-    Where the lines leave it open, they count from 1.
+    Where the lines of the panel leave it open, they count from 1.
     """
     zero, one = (
         within_panel(places_named(table, roles, shape, first), shape).all(axis=1)
         for first in (0, 1)
     )
-    return int(one.sum() > zero.sum() or np.array_equal(zero, one))
+    return int(one.sum() > zero.sum() or (bool(np.any(one)) and np.array_equal(zero, one)))
