@@ -312,7 +312,8 @@ def _data_lines(source: FieldLines, parsed: Parsed, usual: int, *, alone: bool) 
         """Return whether lines have few strange words, beside more numbers."""
         foreign = np.zeros(len(fields), dtype=int)
         np.add.at(foreign, np.nonzero(words)[0], [text in strange for text in fields[words]])
-        return ((foreign <= 1) & (2 * foreign < total)) | (4 * foreign < total)
+        single = (foreign <= 1) & (2 * foreign < total)
+        return np.asarray(single | (4 * foreign < total))
 
     few = few_foreign()
     if strange:

@@ -68,7 +68,7 @@ class TableLayout:
         if not {"row", "column", "cell"} & set(self.roles):
             return None
         places = places_named(table, self.roles, self.shape, self.first)
-        within = within_panel(places, self.shape).all(axis=1)
+        within = np.asarray(np.all(within_panel(places, self.shape), axis=1))
         rows, columns = np.where(within[:, None], places, 0).T.astype(np.intp)
         cells = rows * self.shape[1] + columns
         return np.where(within, cells * self.lines // (self.shape[0] * self.shape[1]), -1)
@@ -339,9 +339,8 @@ def _rows_in_lines(table: ReadingsTable, shape: Shape) -> TableLayout:
             texts = table.fields[:, labelled]
             lines = [line_of(text) or ("", -1) for text in texts]
             first = first_number(table, {"row": labelled}, shape)
-            bad = ~within_panel(places_named(table, {"row": labelled}, shape, first), shape).all(
-                axis=1
-            )
+            named_rows = places_named(table, {"row": labelled}, shape, first)
+            bad = np.asarray(np.any(~within_panel(named_rows, shape), axis=1))
             if np.sum(bad & (texts != "")) > MAX_CUT * len(bad):
                 table.refuse(bad, labelled, f"{{0!r}} is none of the panel's {shape[0]} rows")
             columns = np.array([re.fullmatch(COLUMN, word) is not None for word, _ in lines])
