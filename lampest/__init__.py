@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lampest.estimate.estimator import Tare, Verify
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.method import Method
-    from lampest.estimate.objective import AutoWeight
+    from lampest.estimate.weights import AutoWeight
     from lampest.formulation.constraints import ProgramPart
     from lampest.recording.recording import Recording
     from lampest.report.reconstruction import Reconstruction

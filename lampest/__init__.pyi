@@ -39,12 +39,12 @@ from .estimate.methods.approximate import UncorrectedMethod as UncorrectedMethod
 from .estimate.methods.method import Method as Method
 from .estimate.methods.method import OptimalMethod as OptimalMethod
 from .estimate.methods.smoother import SmootherMethod as SmootherMethod
-from .estimate.objective import AutoWeight as AutoWeight
 from .estimate.own_program import OwnProgram as OwnProgram
 from .estimate.own_program import program as program
 from .estimate.own_solution import OwnSolution as OwnSolution
 from .estimate.state import Step as Step
 from .estimate.stream import Stream as Stream
+from .estimate.weights import AutoWeight as AutoWeight
 from .files.errors import InputError as InputError
 from .formulation.constraints import EqualCells as EqualCells
 from .formulation.constraints import KnownCells as KnownCells

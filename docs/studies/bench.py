@@ -21,7 +21,7 @@ from lampest.apps.studies.study import read_settings
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method, OptimalMethod
-from lampest.estimate.objective import Objective
+from lampest.estimate.weights import Objective
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

@@ -183,7 +183,7 @@ BREAKS = {
         "panel/readouts/floating.py", "two_point_resistance", "return 1 / result"
     ),
     "a_second_panel_with_equal_readings_is_reported_as_a_doubt": Break(
-        "audit/verdict.py", "_another_panel", "return; yield"
+        "audit/advice.py", "_another_panel", "return; yield"
     ),
     "estimates_of_extreme_panels_meet_every_reading": Break(
         "solvers/solution.py", "solution_at", "at = at.elsewhere((1 + 1e-5) * at.cell_resistance)"
@@ -261,7 +261,7 @@ BREAKS = {
         "runs/checks.py", "keep_beside", "return"
     ),
     "a_fast_estimator_does_not_speak_for_a_slow_one": Break(
-        "runs/pace.py",
+        "runs/batch.py",
         "Pace.left_s",
         "return sum(case.frames for case in self.cases) - sum(self.done)",
     ),

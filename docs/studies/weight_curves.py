@@ -20,9 +20,8 @@ from lampest.apps.studies.study import column
 from lampest.cost.cost import Cost
 from lampest.cost.problem import NO_DUAL, Data
 from lampest.estimate.methods import named_method
-from lampest.estimate.objective import Rule
 from lampest.estimate.sequence import deciding_data
-from lampest.estimate.weights import WeightSearch, with_chosen_weights
+from lampest.estimate.weights import Rule, WeightSearch, with_chosen_weights
 from lampest.files.errors import BROKEN, InputError
 from lampest.panel.panel import Array
 from lampest.posterior.covariance import DenseErrors

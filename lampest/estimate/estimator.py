@@ -3,20 +3,22 @@
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from lampest.cost.losses import Student
-from lampest.cost.terms import Misfit, Term, term_kind
+from lampest.cost.losses import Huber, Student
+from lampest.cost.terms import LogRatio, Misfit, State, Term, term_kind
 from lampest.estimate.methods import MethodName, named_method
 from lampest.estimate.methods.method import Method
-from lampest.estimate.objective import AutoWeight, Objective
+from lampest.estimate.weights import AutoWeight, Objective
 from lampest.files.applications import applications, loaded
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration, check_range
 from lampest.formulation.constraints import AnyPart
 from lampest.panel.panel import Mask, Panel
+from lampest.panel.readouts.starts import USUAL_OHM
+from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MATRIX_CELLS
 from lampest.recording.readings import Readings, strongest_frame
@@ -29,6 +31,9 @@ MAX_VERIFIED_CELLS = 144
 # Student's t with 15 degrees of freedom, and nearly the variance of the noise: c² = ν + 1.
 ROBUST = Student(corner=4.0)
 CONSTRAINED = "lampest.estimate.methods.constrained:ConstrainedMethod"
+DECADES = 1.0  # standard deviation of the panel's mean log10 r: usual films have 100 ohm to 1 Mohm
+RESTING_PERCENT = 50.0  # standard deviation of 100 ln r/r0 of a cell that rests
+CORNER_PERCENT = 10.0  # of 100 ln r/r0: cells that change by more pull no harder
 
 
 @dataclass(frozen=True)
@@ -264,6 +269,40 @@ class Estimator(Objective):
             terms.append(term)
         return replace(self, terms=tuple(terms))
 
+    def in_scene(self, scene: Scene, readings: Readings) -> "Estimator":
+        """Return the estimator with what its scene adds to the terms.
+
+        These are the losses that the scene requests for outliers, and priors of the scales that no
+        reading of its circuit shows. Methods that end at no optimum keep the scale of their start,
+        and have no such priors. Terms that compare frames take the place of the prior of change.
+
+        Parameters
+        ----------
+        scene : Scene
+            That of one network.
+        readings : Readings
+            (…, rows, columns); their noise is the unit of a plain misfit.
+        """
+        estimator = self.for_outliers(scene)
+        single = self.method.optimum and not self.method.needs_all_frames
+        known = any(isinstance(term, UsualScale) for term in self.terms)
+        unseen = unseen_scales(scene.circuit, *scene.panel.shape)
+        if not (single and unseen) or known or readings.sigma is None:
+            return estimator
+        by_noise = any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
+        sigma = readings.sigma[np.isfinite(readings.sigma)]
+        square = 1.0 if by_noise else float(np.mean(sigma**2))
+        priors: tuple[Term, ...] = (UsualScale(weight=square),)
+        if not self.relative:
+            weight = square / RESTING_PERCENT**2
+            priors = (LogRatio(weight=weight, loss=Huber(corner=CORNER_PERCENT)), *priors)
+        chosen = self.weight_sigma
+        return replace(
+            estimator,
+            terms=(*estimator.terms, *priors),
+            weight_sigma=chosen and (*chosen, *[np.nan] * len(priors)),
+        )
+
     def problem(self, scene: Scene, frames: int, period: float, *, partial: bool = False) -> Solver:
         """Return the solver for one frame, or for two frames jointly; it is built once per process.
 
@@ -280,3 +319,25 @@ class Estimator(Objective):
         return self.method.solver(
             self.cost(scene, frames, partial=partial), scene, self.solver, period
         )
+
+
+@dataclass(frozen=True)
+class UsualScale(Term):
+    """Prior of scales that no reading of a circuit shows, ln(r/USUAL_OHM)/(DECADES·ln 10·√n).
+
+    A factor on all cells of a column changes no reading of inputs without a resistor. Penalties
+    would choose the factor by chance, and cells would drift to their bounds. Two weak priors choose
+    it. The panel has usual cells, and the mean of log10 r of its n cells the standard deviation
+    DECADES; and most cells do not change, so that the unloaded panel gives each column of a frame
+    its scale. Readings outweigh both in all that they show.
+    """
+
+    convex_in_log: ClassVar[bool] = True
+    unit: ClassVar[str] = "standard deviations"
+    kind: Literal["usual_scale"] = "usual_scale"
+    weight: float = 1.0
+
+    def residual(self, state: State) -> Any:
+        """Return the logarithmic distance from usual cells, (cells, 1)."""
+        deviation = DECADES * np.log(10) * np.sqrt(state.panel.crossings)
+        return np.log(state.cell_resistance / USUAL_OHM) / deviation

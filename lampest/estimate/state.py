@@ -1,4 +1,8 @@
-"""State of a sequence between frames, and the solve of a frame."""
+"""State of a sequence between frames, the solve of a frame, and its witness.
+
+The witness is a second solve of the frame by IPOPT on the nodal program, from another start. It
+sees the data of the frame and nothing of the first solve: neither its cells nor its carried state.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,22 +10,97 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
+from lampest.cost.cost import Cost
 from lampest.cost.given import Background
-from lampest.estimate.objective import Objective
+from lampest.cost.problem import Data, Evaluation
+from lampest.estimate.weights import Objective
 from lampest.files.errors import brief
+from lampest.files.levels import Witness
 from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
-from lampest.solvers.solution import Solution, Status, blank
+from lampest.solvers.multistart import evaluated, scattered, solved_from
+from lampest.solvers.solution import Settings, Solution, Status, blank
 
 if TYPE_CHECKING:
-    from lampest.estimate.witness import Verification
     from lampest.inference.circuits.alike import PanelChoice
     from lampest.posterior.frame_noise import FrameNoise
     from lampest.posterior.sparse_prior import Held
+
+SAME_COST = 1e-6  # relative difference of costs below which two optima are one
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Comparison of an estimate with that of the witness.
+
+    Attributes
+    ----------
+    witness : Witness
+    difference : float
+        Largest difference of ln r between both; NaN where the witness has no optimum.
+    decrease : float
+        Decrease of the cost relative to the first solve; 0 unless the witness is lower.
+    """
+
+    witness: Witness
+    difference: float = float("nan")
+    decrease: float = 0.0
+
+
+def testimony(cost: Cost, data: Data, previous: Array | None, settings: Settings) -> Solution:
+    """Return the solution of IPOPT on the nodal program, from another start.
+
+    The start differs from that of the first solve.
+
+    Parameters
+    ----------
+    cost : Cost
+    data : Data
+    previous : array, shape (frames, rows, columns), or None
+        Start of the first solve, ohm; None where it began at equal cells.
+    settings : Settings
+    """
+    from lampest.solvers.by_ipopt import Ipopt
+
+    solver = Ipopt(cost, settings, data.readout, data.wiring, "nodal")
+    with np.errstate(all="ignore"):
+        start = another_start(cost, data, previous)
+        return replace(solved_from(solver, start), solver=solver.name)
+
+
+def another_start(cost: Cost, data: Data, previous: Array | None) -> Evaluation:
+    """Return a start that the first solve did not have.
+
+    The start has equal cells, or scattered ones after a start at equal cells. Where two panels read
+    alike, the equal cells lie on the branch of the first start.
+    """
+    if previous is None:
+        return evaluated(cost, data, next(scattered(data)))
+    equal = evaluated(cost, data, data.uniform_start)
+    if np.array_equal(equal.branch, evaluated(cost, data, previous).branch):
+        return equal
+    return evaluated(cost, data, np.median(previous, axis=(-2, -1), keepdims=True))
+
+
+def compared(solution: Solution, witness: Solution) -> Verification:
+    """Return the comparison of a solution with that of the witness."""
+    if not witness.optimum:
+        return Verification(Witness.FAILED)
+    if not solution.optimum:
+        return Verification(Witness.LOWER)
+    difference = float(np.abs(np.log(solution.cell_resistance / witness.cell_resistance)).max())
+    negligible = 0.0 if witness.at is None else SAME_COST * witness.at.cost_scale
+    scale = max(abs(solution.objective), negligible)
+    change = (witness.objective - solution.objective) / scale
+    if abs(change) <= SAME_COST:
+        return Verification(Witness.SAME, difference)
+    return Verification(
+        Witness.HIGHER if change > 0 else Witness.LOWER, difference, max(-change, 0.0)
+    )
 
 
 @dataclass(frozen=True, eq=False)

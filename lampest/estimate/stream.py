@@ -14,7 +14,6 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.noise import NoiseEstimate
 from lampest.panel.effects import Shared
 from lampest.panel.panel import Array
-from lampest.panel.readouts.unseen import unseen_scales
 from lampest.panel.scene import Scene
 from lampest.posterior.covariance import DenseMemory, Memory
 from lampest.posterior.track import Track
@@ -126,7 +125,7 @@ class Stream(SequenceState):
         """
         estimator.check(scene)
         _check_frame(resting, scene)
-        estimator = in_scene(estimator, scene, resting)
+        estimator = estimator.in_scene(scene, resting)
         hidden, frame, panels = (
             (None, None, None)
             if noise is None
@@ -328,20 +327,6 @@ class Stream(SequenceState):
     def data_and_start(self, readings: Readings) -> tuple[Data, Array | None]:
         """Return the data of a frame's solve and its start, see `Method.data_and_start`."""
         return self.estimator.method.data_and_start(self, readings)
-
-
-def in_scene(estimator: Estimator, scene: Scene, readings: Readings) -> Estimator:
-    """Return the estimator with what its scene adds to the terms.
-
-    These are the losses that the scene requests for outliers, and priors of the scales that no
-    reading of its circuit shows.
-    """
-    estimator = estimator.for_outliers(scene)
-    if not unseen_scales(scene.circuit, *scene.panel.shape):
-        return estimator
-    from lampest.estimate.usual_scale import with_usual_scale
-
-    return with_usual_scale(estimator, scene, readings)
 
 
 def _check_frame(readings: Readings, scene: Scene) -> None:

@@ -1,4 +1,6 @@
-"""Choice of weights (`weight: auto`) by the least risk or by the evidence.
+"""Objectives, and the choice of their weights (`weight: auto`) by the least risk or the evidence.
+
+An objective is what a solve minimises, whatever the method.
 
 Risk: the weight minimises the expected squared error of log r, with the reference estimate
 (`lampest.posterior.reference`) as the truth and its error scale as the noise. The cost is
@@ -7,27 +9,28 @@ are optimised in turn. Evidence: on panels of more than `MAX_CELLS` cells, and o
 weights have the largest evidence, jointly with a factor on the noise.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TypeVar
+from typing import Literal, Self, TypeVar
 
 import numpy as np
 
 from lampest.cost.cost import Cost
+from lampest.cost.given import Background
 from lampest.cost.problem import NO_DUAL, Data
-from lampest.estimate.objective import Objective
+from lampest.cost.terms import Term
 from lampest.files.errors import BROKEN, InputError
 from lampest.files.levels import MAD_TO_SIGMA
+from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.covariance import DenseErrors
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.reference import MAX_CELLS, references
-from lampest.posterior.reference_fit import Reference
+from lampest.posterior.reference import MAX_CELLS, Reference, references
 from lampest.posterior.spectrum import (
     Spectrum,
     best_weight,
@@ -35,8 +38,10 @@ from lampest.posterior.spectrum import (
     next_weights,
     settled_weights,
 )
+from lampest.recording.readings import Readings
 from lampest.recording.recording import MAX_NEIGHBOURS
 from lampest.solvers.multistart import best_solution, evaluated
+from lampest.solvers.posed import Bounds, cost_of_solve, data_of_solve
 from lampest.solvers.solution import Settings
 
 # solves for one factor on σ; change of ln λ that changes no reported figure
@@ -53,9 +58,114 @@ MAX_SWEEPS = 6  # over several penalties: each converges within a few
 # (docs/studies/weights.md).
 NOISE_BELIEF = 0.1
 MIN_FREEDOM = 0.05  # degrees of freedom of a residual: fewer do not determine its scale
-AnyObjective = TypeVar("AnyObjective", bound=Objective)
+AnyObjective = TypeVar("AnyObjective", bound="Objective")
 # Weights of the terms, and standard deviations of log λ.
 Weights = tuple[list[float], tuple[float, ...]]
+Rule = Literal["risk", "evidence"]  # function of a weight that its choice minimises
+
+
+@dataclass(frozen=True)
+class AutoWeight(Configuration):
+    """Settings of `weight: auto`.
+
+    Attributes
+    ----------
+    rule : Rule or None
+        'risk' minimises the expected error of log r, with the reference estimate as the truth.
+        'evidence' takes the most probable weight. By default risk, and evidence for panels with
+        more than 400 cells.
+    per : 'recording' or 'frame'
+        'recording' chooses one weight from the strongest frame; 'frame' chooses one for every
+        frame.
+
+    >>> lampest.AutoWeight().per
+    'recording'
+    """
+
+    rule: Rule | None = None
+    per: Literal["recording", "frame"] = "recording"
+
+
+@dataclass(frozen=True)
+class Objective:
+    """Terms with bounds, settings, and the choice of their weights.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+    solver : Settings
+    bounds : Bounds
+    auto_weight : AutoWeight
+        Choice of the weights that the terms leave open.
+    weight_sigma : tuple of float
+        Standard deviations of ln λ of chosen weights.
+    """
+
+    terms: tuple[Term, ...]
+    _: KW_ONLY
+    solver: Settings = Settings()
+    bounds: Bounds = Bounds()
+    auto_weight: AutoWeight = AutoWeight()
+    weight_sigma: tuple[float, ...] = ()
+
+    def with_terms(self, terms: tuple[Term, ...]) -> "Objective":
+        """Return the objective with other terms.
+
+        Terms that stay keep the deviation of their weight.
+        """
+        sigma = dict(zip(self.terms, self.weight_sigma, strict=False))
+        return Objective(
+            terms,
+            solver=self.solver,
+            bounds=self.bounds,
+            auto_weight=self.auto_weight,
+            weight_sigma=tuple(sigma.get(term, np.nan) for term in terms) if sigma else (),
+        )
+
+    @property
+    def automatic(self) -> bool:
+        """Whether a weight is still to be chosen."""
+        return any(term.weight == "auto" for term in self.terms)
+
+    def with_weights(self, weights: Iterable[float], sigma: tuple[float, ...] = ()) -> Self:
+        """Return the objective with these weights of the terms, in their order.
+
+        `sigma` becomes its `weight_sigma`.
+        """
+        terms = zip(self.terms, weights, strict=True)
+        return replace(
+            self,
+            terms=tuple(replace(term, weight=float(weight)) for term, weight in terms),
+            weight_sigma=sigma,
+        )
+
+    @property
+    def relative(self) -> bool:
+        """Whether a term depends on the previous frame."""
+        return any(term.needs_previous for term in self.terms)
+
+    @property
+    def penalised(self) -> bool:
+        """Whether a penalty term determines cells that have no reading."""
+        return not all(term.reads_measurement for term in self.terms)
+
+    @property
+    def weighs_previous(self) -> bool:
+        """Whether a term depends on the uncertainty of the previous frame."""
+        return any(term.weighs_previous for term in self.terms)
+
+    @property
+    def absolute_terms(self) -> tuple[Term, ...]:
+        """The terms that need no previous frame."""
+        return tuple(term for term in self.terms if not term.needs_previous)
+
+    def data(self, readings: Readings, background: Background) -> Data:
+        """Return the data of one solve, see `lampest.solvers.posed.data_of_solve`."""
+        return data_of_solve(self.terms, self.bounds, readings, background)
+
+    def cost(self, scene: Scene, frames: int, *, partial: bool = False) -> Cost:
+        """Return the terms over one or two frames, see `lampest.solvers.posed.cost_of_solve`."""
+        return cost_of_solve(self.terms, scene, frames, partial=partial)
 
 
 def with_chosen_weights(

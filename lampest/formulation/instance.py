@@ -8,8 +8,7 @@ import numpy as np
 from lampest.cost.problem import Evaluation
 from lampest.files.typed import ReadOnlyArrays
 from lampest.formulation.program import Program
-from lampest.formulation.statement import Blocks
-from lampest.formulation.values import Values
+from lampest.formulation.values import Blocks, Values
 from lampest.panel.panel import Array
 
 

@@ -43,8 +43,7 @@ from lampest.formulation.patterns import (
     joined_addresses,
     stacked_networks,
 )
-from lampest.formulation.statement import EMPTY, Blocks, Constraint, ProgramUnknown, Statement
-from lampest.formulation.values import unit_of
+from lampest.formulation.values import EMPTY, Blocks, Constraint, ProgramUnknown, Statement, unit_of
 from lampest.panel.compiled import CasadiOwner, guarded
 from lampest.panel.equation import equation_of
 from lampest.panel.panel import Array

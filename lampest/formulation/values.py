@@ -1,13 +1,20 @@
-"""Values of a program's symbols for given data, by name and in the program's units."""
+"""What a program consists of: named unknowns, constraints and a cost, and values of its symbols.
 
-from collections.abc import Mapping, Sequence
+The values belong to given data, and are in the program's units.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
+import casadi
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lampest.cost.problem import Data, Evaluation
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.patterns import END_VOLTAGE, NetworkSymbols
+from lampest.panel.compiled import CasadiOwner
 from lampest.panel.panel import Array
 from lampest.panel.readouts.starts import nearly_shorted
 
@@ -16,6 +23,7 @@ MIN_VOLTAGE = 1e-3  # smallest unit of a voltage, relative to the largest voltag
 MIN_SPLIT_UNIT = 1e-12  # unit of split residuals that are all zero, in their own unit
 # Distance of p, q from their bound 0 at the start, in split units: IPOPT's default of bound_push.
 SPLIT_START = 0.01
+EMPTY = casadi.SX(0, 1)
 
 
 def unit_of(name: str) -> str:
@@ -154,3 +162,93 @@ class Values:
             "cost_scale": self.cost_scale,
             "split_scale": self.split_scale,
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks(CasadiOwner):
+    """Named columns of symbols, one below the other.
+
+    Attributes
+    ----------
+    symbols : mapping of str to casadi.SX, shape (n, 1)
+    """
+
+    symbols: Mapping[str, casadi.SX]
+
+    @cached_property
+    def column(self) -> casadi.SX:
+        """All symbols, (size, 1)."""
+        return casadi.vertcat(EMPTY, *self.symbols.values())
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Number of entries of each block."""
+        return {name: int(symbol.shape[0]) for name, symbol in self.symbols.items()}
+
+    def stacked(self, values: Mapping[str, ArrayLike]) -> Array:
+        """Return the values of all blocks as one column, (size,).
+
+        Each value is a number, or one for each entry, by the name of the block.
+        """
+        parts = []
+        for name, size in self.sizes.items():
+            value = np.asarray(values[name], dtype=float).reshape(-1)
+            parts.append(np.broadcast_to(value, (size,)))
+        return np.concatenate([np.zeros(0), *parts])
+
+    def named(self, column: Array) -> dict[str, Array]:
+        """Return the block of each name from one column of values, (size,)."""
+        ends = np.cumsum([*self.sizes.values()], dtype=int)[:-1]
+        return dict(zip(self.sizes, np.split(column, ends), strict=True))
+
+
+# Numbers, or a function of the values of the frames
+Rule = float | Array | Callable[[Values], ArrayLike]
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramUnknown(CasadiOwner):
+    """Unknown of a program, with its start and its bounds.
+
+    Attributes
+    ----------
+    symbol : casadi.SX, shape (size, 1)
+    start, lower, upper : Rule
+    """
+
+    symbol: casadi.SX
+    start: Rule
+    lower: Rule = -np.inf
+    upper: Rule = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint(CasadiOwner):
+    """Constraint lower ≤ expression ≤ upper; equal limits make an equation.
+
+    Attributes
+    ----------
+    expression : casadi.SX, shape (rows, 1)
+    lower, upper : float or array, shape (rows,)
+    """
+
+    expression: casadi.SX
+    lower: float | Array = 0.0
+    upper: float | Array = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Statement(CasadiOwner):
+    """A program as it is solved: its cost, over its unknowns, subject to its constraints.
+
+    Attributes
+    ----------
+    unknowns : mapping of str to ProgramUnknown
+    constraints : mapping of str to Constraint
+    cost : casadi.SX, shape (1, 1)
+        φ/cost_scale.
+    """
+
+    unknowns: Mapping[str, ProgramUnknown]
+    constraints: Mapping[str, Constraint]
+    cost: casadi.SX

@@ -22,8 +22,7 @@ from lampest.inference.variance_components import MIN_EXCESS
 from lampest.panel.readouts.converter import sigma_code
 from lampest.panel.sizes import ESTIMATED, Systematic
 from lampest.posterior.interval import LEVEL, student_two_sided
-from lampest.posterior.reference import MAX_CELLS, references
-from lampest.posterior.reference_fit import DEGREES_OF_FREEDOM
+from lampest.posterior.reference import DEGREES_OF_FREEDOM, MAX_CELLS, references
 from lampest.recording.readings import Readings
 from lampest.recording.recording import (
     MEASURED,

@@ -111,7 +111,7 @@ class Scene(Configuration):
     outliers : {'keep', 'exclude', 'robust'}, or None
         Readings that differ from their neighbours in time while their row and column do not. None:
         kept. 'robust': kept, and squared misfits have Student's loss
-        (`lampest.estimate.objective.Objective.robust`). What no cells give is missing in any case.
+        (`Estimator.for_outliers`). What no cells give is missing in any case.
     estimated : dict, or None
         Of resolved scenes: key of each number that the recording determined → (number, standard
         deviation).

@@ -23,7 +23,13 @@ from lampest.panel.effects import Shared
 from lampest.panel.panel import Array, Mask
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, common_variance
-from lampest.posterior.covariance import DenseErrors, DenseMemory, Memory
+from lampest.posterior.covariance import (
+    DenseErrors,
+    DenseMemory,
+    Memory,
+    active_bounds,
+    answer_to_scatter,
+)
 from lampest.posterior.linear import LinearModel
 from lampest.recording.readings import Readings, stand_in_spread
 
@@ -205,15 +211,11 @@ class Track(ReadOnlyArrays):
         answer = np.zeros((cells.size, columns.shape[1]))
         rows = model.through @ columns
         if errors.exact and (model.at_lower | model.at_upper).any():
-            from lampest.posterior.at_bounds import active_bounds
-
             answer[model.free], held, below, above = active_bounds(errors, rows, previous)
             bars = bars.reaching(held, below, above)
         else:
             answer[model.free] = errors.answer(rows, previous)
         if scatter and errors.exact:
-            from lampest.posterior.film_scatter import answer_to_scatter  # for errors of readings
-
             answer[model.free, own:] += answer_to_scatter(errors, scatter)
         # r ≥ R: the bound has its reading's error
         read = model.at_lower & (model.at.data.lower == measured).ravel()

@@ -77,7 +77,7 @@ class Reconstruction(Estimates):
     @cached_property
     def model_check(self) -> "ModelCheck":
         """Verdict on the circuit, 'yes', 'doubtful' or 'no', with the evidence against it."""
-        from lampest.audit.verdict import verdict
+        from lampest.audit.advice import verdict
 
         return verdict(self.circuit_check, self.prepared)
 

@@ -13,9 +13,8 @@ from lampest.cost.given import Background
 from lampest.cost.terms import AnyTerm, term_types
 from lampest.estimate.estimator import Estimator, Tare, Verify
 from lampest.estimate.methods import AnyMethod, MethodName
-from lampest.estimate.objective import AutoWeight
-from lampest.estimate.parts import check_by_parts
-from lampest.estimate.sequence import segment_count
+from lampest.estimate.sequence import check_by_parts, segment_count
+from lampest.estimate.weights import AutoWeight
 from lampest.files import sweep
 from lampest.files.document import (
     Document,

@@ -128,8 +128,7 @@ def _filled(
 def _audited(estimates: Estimates) -> dict[str, str]:
     """Return the verdict on the circuit, the advice and the warnings of estimates by field."""
     # An import for the check alone, which runs make later.
-    from lampest.audit.advice import Audit
-    from lampest.audit.verdict import verdict
+    from lampest.audit.advice import Audit, verdict
 
     audit = Audit(estimates.prepared)
     check = verdict(estimates.circuit_check, estimates.prepared, audit.health)

@@ -16,8 +16,7 @@ from pathlib import Path
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.parts import Parts, asked_frames
-from lampest.estimate.sequence import begun, reconstruct, segments
+from lampest.estimate.sequence import Parts, asked_frames, begun, reconstruct, segments
 from lampest.estimate.state import Step
 from lampest.estimate.stream import CarriedOver
 from lampest.files import hdf5

@@ -23,11 +23,11 @@ from lampest.solvers.direction import (
     MAX_TRIES,
     RADIUS_FACTOR,
     conductance_change,
+    decreases_enough,
     log_resistance_change,
 )
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky
-from lampest.solvers.progress import decreases_enough
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 

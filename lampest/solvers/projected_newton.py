@@ -21,19 +21,17 @@ from lampest.solvers.direction import (
     MAX_TRIES,
     RADIUS_FACTOR,
     ActiveSet,
+    History,
     QuadraticModel,
+    exceeds_rounding,
     hold_beyond_bounds,
+    late_or_stalled,
     newton_direction,
+    sufficient_decrease,
 )
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.iterate import GAUSS_NEWTON_STEPS, MIN_DAMPING, Iterate
 from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor
-from lampest.solvers.progress import (
-    History,
-    exceeds_rounding,
-    late_or_stalled,
-    sufficient_decrease,
-)
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solver, Status
 

@@ -30,9 +30,8 @@ from lampest.panel import least_squares
 from lampest.panel.equation import equation_of
 from lampest.panel.trust_region import steihaug
 from lampest.posterior import certainty, covariance, interval, linear, spectrum
-from lampest.posterior.at_bounds import active_bounds
 from lampest.posterior.chain import Chain
-from lampest.posterior.covariance import DenseMemory
+from lampest.posterior.covariance import DenseMemory, active_bounds
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.reference import references
 from lampest.posterior.sampled import SampledErrors, SampledMemory

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest.audit.effects import searched_effects
+from lampest.audit.advice import searched_effects
 from lampest.files.document import parse_document, validated
 from lampest.inference.effects.effect import SceneEffect
 from lampest.inference.noise import NoiseEstimate

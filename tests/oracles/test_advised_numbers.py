@@ -13,7 +13,7 @@ from units.test_own_effect import MODULE
 from docs.studies.advice import keys_of
 from docs.studies.effects import LOADS, Row, recording
 from lampest import LoadedColumnsReadout, Panel, Recording, Scene, Systematic
-from lampest.audit.effects import named, unnamed_effects
+from lampest.audit.advice import named, unnamed_effects
 from lampest.files.document import parse_document
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import ENTRIES

@@ -30,7 +30,7 @@ from lampest import (
     VirtualGroundReadout,
     simulate,
 )
-from lampest.audit.verdict import verdict
+from lampest.audit.advice import verdict
 from lampest.cost.terms import LogGradient, LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import Witness

@@ -9,9 +9,8 @@ import lampest
 from docs.studies.held_lines import nodal_volts, random_readout
 from docs.studies.model_check import sound
 from lampest import Array, DrivenReadout, Faults, Misfit, Panel, Recording, Scene
-from lampest.audit.advice import Audit
+from lampest.audit.advice import Audit, verdict
 from lampest.audit.health import Health
-from lampest.audit.verdict import verdict
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts.starts import several_panels
 from tests.netlist import volts

@@ -9,7 +9,7 @@ from promises import promise
 from docs.studies.effects import LOADS, ROWS, Row, figures, recording
 from docs.studies.wrong_readings import drawn, of_load, with_starter
 from lampest import Systematic
-from lampest.audit.effects import unnamed_effects
+from lampest.audit.advice import unnamed_effects
 from lampest.audit.health import Health
 from lampest.inference.effects.motion import (
     MotionEvidence,

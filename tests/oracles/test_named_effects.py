@@ -29,7 +29,7 @@ from lampest import (
     Systematic,
     TwoPointReadout,
 )
-from lampest.audit import advice, effects
+from lampest.audit import advice
 from lampest.inference import warnings as objections
 from lampest.inference.circuits import model_check
 from lampest.inference.effects import (
@@ -43,7 +43,7 @@ from lampest.inference.effects import (
 )
 from lampest.inference.effects.effect import Unnamed
 from lampest.inference.prepared import Prepared
-from lampest.posterior import film_scatter
+from lampest.posterior import track
 from tests.estimates import recording_of
 
 ROWS = 12
@@ -210,7 +210,7 @@ def test_a_scan_without_time_has_no_share(depth: float) -> None:
     share, deviation = Prepared(swaying).noise.estimated["motion"]
     assert share < 2 * deviation
     unnamed = Prepared(replace(swaying, scene=replace(swaying.scene, motion=None)))
-    assert not [effect for effect in effects.unnamed_effects(unnamed) if "motion" in effect.line]
+    assert not [effect for effect in advice.unnamed_effects(unnamed) if "motion" in effect.line]
 
 
 @pytest.mark.long
@@ -294,10 +294,10 @@ def test_an_error_that_the_scene_states_is_no_doubt_of_its_circuit() -> None:
 @pytest.mark.slow
 def test_channels_that_differ_are_advised_and_not_as_errors_of_each_reading() -> None:
     differing = channels_recording(100, LOADS["mouth"], Row(channel_ohm=10.0), {})
-    lines = [finding.line for finding in effects.unnamed_effects(Prepared(differing))]
+    lines = [finding.line for finding in advice.unnamed_effects(Prepared(differing))]
     assert lines == ["systematic: {channel_spread_ohm: estimated}"]
     alike = Prepared(channels_recording(100, LOADS["mouth"], Row(), {}))
-    assert not effects.unnamed_effects(alike)
+    assert not advice.unnamed_effects(alike)
 
 
 @pytest.mark.slow
@@ -305,9 +305,9 @@ def test_channels_are_advised_under_a_hand_that_covers_most_cells() -> None:
     """Cells that moved were more than half, and nothing was advised."""
     hand = Load(("hand",), swaying=0.05)
     differing = channels_recording(4001, hand, Row(channel_ohm=10.0), {})
-    lines = [finding.line for finding in effects.unnamed_effects(Prepared(differing))]
+    lines = [finding.line for finding in advice.unnamed_effects(Prepared(differing))]
     assert lines == ["systematic: {channel_spread_ohm: estimated}"]
-    assert not effects.unnamed_effects(Prepared(channels_recording(4001, hand, Row(), {})))
+    assert not advice.unnamed_effects(Prepared(channels_recording(4001, hand, Row(), {})))
 
 
 @pytest.mark.slow
@@ -329,7 +329,7 @@ def test_a_gain_of_frames_is_not_also_creep() -> None:
 def test_a_ripple_that_the_scene_names_is_no_motion(load: str) -> None:
     """Still cells seemed to move with the load, in a scan that took 0 ± 0.6 of the time."""
     rippled = channels_recording(100, LOADS[load], Row(ripple_lsb=10.0), {"ripple": "estimated"})
-    assert not effects.unnamed_effects(Prepared(rippled))
+    assert not advice.unnamed_effects(Prepared(rippled))
 
 
 @pytest.mark.slow
@@ -362,15 +362,15 @@ def test_an_effect_that_gains_only_alone_is_not_advised(monkeypatch: pytest.Monk
         def __init__(self, *names: str) -> None:
             self.names = tuple(sorted(names))
 
-    monkeypatch.setattr(effects, "searched", lambda fake: shown.get(fake.names, ()))
+    monkeypatch.setattr(advice, "searched", lambda fake: shown.get(fake.names, ()))
     monkeypatch.setattr(
-        effects,
+        advice,
         "named",
         lambda fake, *unnamed: Fake(
             *fake.names, *(name for one in unnamed for name in one.addition)
         ),
     )
-    assert [finding.what for finding in effects.unnamed_effects(Fake())] == ["gain", "motion"]
+    assert [finding.what for finding in advice.unnamed_effects(Fake())] == ["gain", "motion"]
 
 
 def test_effects_that_a_scene_cannot_name_leave_advice_as_found(
@@ -384,9 +384,9 @@ def test_effects_that_a_scene_cannot_name_leave_advice_as_found(
         noise = None
         cleaned = SimpleNamespace(readings=SimpleNamespace(sigma=1.0), recording=None)
 
-    monkeypatch.setattr(effects, "searched", lambda prepared: found)
-    monkeypatch.setattr(effects, "named", lambda prepared, *unnamed: prepared)
-    assert [finding.what for finding in effects.unnamed_effects(Plain())] == ["own", "gain"]
+    monkeypatch.setattr(advice, "searched", lambda prepared: found)
+    monkeypatch.setattr(advice, "named", lambda prepared, *unnamed: prepared)
+    assert [finding.what for finding in advice.unnamed_effects(Plain())] == ["own", "gain"]
 
 
 @pytest.mark.slow
@@ -448,7 +448,7 @@ def test_penalties_that_compare_frames_expect_nothing_of_films() -> None:
     terms = [WEIGHTED, LogRatio(weight=1e4)]
     hidden = lampest.reconstruct(made, terms).cell_resistance_errors
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(film_scatter, "answer_to_scatter", lambda *_: 0.0)
+        patch.setattr(track, "answer_to_scatter", lambda *_: 0.0)
         plain = lampest.reconstruct(made, terms).cell_resistance_errors
     assert hidden is not None and plain is not None
     np.testing.assert_allclose(hidden, plain, rtol=1e-9)

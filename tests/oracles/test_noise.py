@@ -18,7 +18,7 @@ from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_re
 from lampest.apps.recognition.at_rest import touched
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.studies.study import read_settings
-from lampest.audit.effects import unnamed_effects
+from lampest.audit.advice import unnamed_effects
 from lampest.estimate.sequence import reconstruct
 from lampest.files.levels import DOUBTFUL_GAIN, NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
 from lampest.inference.cells_fit import CellsFit, fitted

@@ -16,7 +16,7 @@ from docs.studies.wrong_readings import drawn, of_load, with_starter
 from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPointReadout, simulate
 from lampest.apps.recognition.detect.detection import Known, known_of
 from lampest.apps.studies.study import read_settings
-from lampest.audit.effects import unnamed_effects
+from lampest.audit.advice import unnamed_effects
 from lampest.files.levels import UNUSUAL
 from lampest.inference.effects.converter_ends import saturated
 from lampest.inference.prepared import Prepared

@@ -19,7 +19,7 @@ from promises import promise
 import lampest
 from lampest import Array
 from lampest.cost.problem import NO_DUAL
-from lampest.estimate.witness import Verification, compared
+from lampest.estimate.state import Verification, compared
 from lampest.files.levels import Witness
 from lampest.formulation.circuit import Circuit
 from lampest.formulation.instance import Instance, Multipliers, ProgramResult

@@ -24,10 +24,10 @@ from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
 from lampest.cost.terms import CellResistance, Gradient, Misfit
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.objective import AutoWeight
+from lampest.estimate.weights import AutoWeight
 from lampest.files.levels import TWO_SIDED
 from lampest.inference.readings.outliers import impossible_readings
-from lampest.posterior import reference_fit
+from lampest.posterior import reference
 from lampest.posterior.reference import references
 from lampest.solvers.posed import Bounds
 from tests.estimates import in_intervals, log_errors, recording_of, rms
@@ -157,7 +157,7 @@ def test_normal_tails_mistake_edges_for_errors_of_the_readings(
     truth[4:6, 3:5] *= 5
     data, cost = problem_of(truth, seed)
     assert references([data], cost)[0].best == 1
-    monkeypatch.setattr(reference_fit, "DEGREES_OF_FREEDOM", 1e6)  # nearly Gaussian
+    monkeypatch.setattr(reference, "DEGREES_OF_FREEDOM", 1e6)  # nearly Gaussian
     squared = references([data], cost)[0]
     assert squared.best >= 2 and squared.gain(1.0) > CLEAR_GAIN
 

@@ -24,12 +24,20 @@ from lampest.cost.given import Background
 from lampest.cost.problem import NO_DUAL, Data, Evaluation
 from lampest.cost.terms import LogGradient
 from lampest.estimate.methods import named_method
-from lampest.solvers import relaxation
+from lampest.solvers import multistart
 from lampest.solvers.check import sharp_hessian
-from lampest.solvers.multistart import best_solution, evaluated, solved_from
+from lampest.solvers.multistart import (
+    CORNER,
+    FAR_OUT,
+    LARGEST_STEP,
+    best_solution,
+    evaluated,
+    exchanges,
+    huber_of,
+    solved_from,
+)
 from lampest.solvers.projected_lbfgs import serves
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.relaxation import CORNER, FAR_OUT, LARGEST_STEP, exchanges, huber_of
 from lampest.solvers.solution import Settings, Status
 
 SHAPE = (4, 5)
@@ -161,7 +169,7 @@ def test_exchanges_lead_both_solvers_to_the_lowest_minimum(
     lowest = problem.least(problem.data, 3, 0)
     for kind in ("reduced", "nodal"):
         assert problem.solved(kind).objective <= lowest * (1 + SAME)
-    monkeypatch.setattr(relaxation, "exchanges", lambda minimum: [])
+    monkeypatch.setattr(multistart, "exchanges", lambda minimum: [])
     assert problem.solved("reduced").objective > lowest * 1.01
 
 

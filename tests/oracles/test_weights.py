@@ -41,10 +41,9 @@ from lampest.cost.terms import (
     TotalVariation,
 )
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.objective import AutoWeight
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.stream import Stream
-from lampest.estimate.weights import EvidencePoint, WeightSearch, with_chosen_weights
+from lampest.estimate.weights import AutoWeight, EvidencePoint, WeightSearch, with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.trust_region import SubproblemStep
 from lampest.posterior import sampled

@@ -16,14 +16,14 @@ from lampest.apps.recognition import (
     watch,
     watch_parts,
 )
-from lampest.estimate import estimator, parts
+from lampest.estimate import estimator, sequence
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
 from lampest.inference import noise, nuisances, variance_components
 from lampest.inference.circuits import model_check
 from lampest.inference.circuits import parameters as alternative_parameters
 from lampest.panel import trust_region
-from lampest.posterior import reference, reference_fit, sampled, track
+from lampest.posterior import reference, sampled, track
 from lampest.recording import stored
 from lampest.solvers import certificate, posed, projected_lbfgs, solution
 
@@ -44,7 +44,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     ],
     "docs/theory/posterior.md": [
         ("a factor of at least 1.25", variance_components.MIN_EXCESS, 1.25),
-        ("with three degrees of freedom", reference_fit.DEGREES_OF_FREEDOM, 3),
+        ("with three degrees of freedom", reference.DEGREES_OF_FREEDOM, 3),
     ],
     "docs/theory/model_check.md": [
         (
@@ -114,7 +114,7 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
     "docs/howto/batches.md": [
         ("more than 2,000,000 readings", stored.MAX_READINGS, 2e6),
         ("in parts of 500,000", stored.PART_READINGS, 5e5),
-        ("the first 500 unloaded frames", parts.LEAD_FRAMES, 500),
+        ("the first 500 unloaded frames", sequence.LEAD_FRAMES, 500),
         ("refuse more than 100,000,000 values", hdf5.MAX_VALUES, 1e8),
         ("for two minutes beyond ten limits", process.HUNG_SECONDS, 120),
     ],

@@ -13,7 +13,7 @@ from laws import test_effects as laws
 from numpy.testing import assert_allclose, assert_array_equal
 
 import lampest
-from lampest.audit.effects import unnamed_effects
+from lampest.audit.advice import unnamed_effects
 from lampest.audit.finding import with_addition
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects import shared_effects, systematic_of
@@ -36,7 +36,7 @@ loads: [{kind: rod, centre_mm: [30, 20], diameter_mm: 15, mass_g: 2000}]
 """
 IN_A_NOTEBOOK = """
 from dataclasses import replace
-from lampest.audit.effects import unnamed_effects
+from lampest.audit.advice import unnamed_effects
 from lampest.inference.prepared import Prepared
 
 [(_, simulation)] = lampest.read_simulations("simulation.yaml")

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from promises import promise
 
-from lampest.runs.pace import Pace
+from lampest.runs.batch import Pace
 
 
 def pace(*frame_seconds: float) -> Pace:

@@ -22,7 +22,7 @@ from unclosed import unclosed_recording
 import lampest
 from lampest import Array, InputError, Recording, read_results, read_run
 from lampest.apps.board.journal import repair
-from lampest.estimate.parts import Parts, asked_frames
+from lampest.estimate.sequence import Parts, asked_frames
 from lampest.files import hdf5
 from lampest.recording import stored
 from lampest.report.info import checked_sentence

@@ -15,24 +15,22 @@ from lampest.panel.trust_region import SUFFICIENT_DECREASE, SubproblemStep
 from lampest.solvers.bounds import MIN_DECREASE_SHARE
 from lampest.solvers.direction import (
     MAX_CHANGE,
+    MIN_REDUCTION,
+    WINDOW,
     ActiveSet,
+    History,
     Mask,
     QuadraticModel,
     conductance_change,
+    decreases_enough,
     hold_beyond_bounds,
+    late_or_stalled,
     log_resistance_change,
     newton_direction,
+    stalled,
 )
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.multistart import evaluated, most_starts
-from lampest.solvers.progress import (
-    MIN_REDUCTION,
-    WINDOW,
-    History,
-    decreases_enough,
-    late_or_stalled,
-    stalled,
-)
 from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status

@@ -7,7 +7,7 @@ import pytest
 
 import lampest
 from docs.studies.model_check import sound
-from lampest.audit.effects import unnamed_effects
+from lampest.audit.advice import unnamed_effects
 from lampest.cost.given import Background
 from lampest.inference.effects.converter_ends import saturated, with_saturated_stage
 from lampest.inference.effects.converter_memory import memory_gain

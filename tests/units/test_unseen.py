@@ -19,11 +19,9 @@ from lampest import (
     Scene,
     TwoPointReadout,
 )
-from lampest.audit.advice import Audit
+from lampest.audit.advice import Audit, verdict
 from lampest.audit.finding import with_lines
-from lampest.audit.verdict import verdict
 from lampest.cost.terms import term_kind
-from lampest.estimate.stream import in_scene
 from lampest.inference.circuits.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
 from lampest.panel.readouts.unseen import unseen_scales
@@ -113,9 +111,9 @@ def test_estimators_of_circuits_that_show_the_scale_stay_as_they_are() -> None:
     estimator = lampest.Estimator((Misfit(weighting="noise"), lampest.LogGradient(weight=1.0)))
     for readout, kinds in ((LoadedColumnsReadout(), ()), (INPUTS, ("log_ratio", "usual_scale"))):
         made = recording(readout, readout)
-        given = in_scene(estimator, made.scene, made.readings())
+        given = estimator.in_scene(made.scene, made.readings())
         assert tuple(map(term_kind, given.terms)) == ("misfit", "log_gradient", *kinds)
-        assert in_scene(given, made.scene, made.readings()) == given
+        assert given.in_scene(made.scene, made.readings()) == given
 
 
 def test_a_plain_misfit_has_the_same_priors_in_its_own_unit() -> None:
@@ -123,7 +121,7 @@ def test_a_plain_misfit_has_the_same_priors_in_its_own_unit() -> None:
     readings = made.readings()
     assert readings.sigma is not None
     priors = [
-        in_scene(lampest.Estimator((misfit,)), made.scene, readings).terms[1:]
+        lampest.Estimator((misfit,)).in_scene(made.scene, readings).terms[1:]
         for misfit in (Misfit(weighting="noise"), Misfit())
     ]
     square = np.mean(readings.sigma**2)

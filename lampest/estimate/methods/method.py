@@ -14,9 +14,8 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
-from lampest.estimate.objective import Objective
-from lampest.estimate.state import AnyState, SequenceState, Step
-from lampest.estimate.weights import with_chosen_weights
+from lampest.estimate.state import AnyState, SequenceState, Step, compared, testimony
+from lampest.estimate.weights import Objective, with_chosen_weights
 from lampest.files.errors import BROKEN
 from lampest.files.levels import Witness
 from lampest.files.process import delayed_interrupt, ended_where_hung
@@ -287,8 +286,6 @@ class Method(Configuration):
         after, step
             State after the frame, and its step with the comparison.
         """
-        from lampest.estimate.witness import compared, testimony
-
         weighted = state.estimator.with_weights(step.weights, step.weight_sigma)
         before = replace(state, estimator=weighted)
         data, previous = self.data_and_start(before, readings)

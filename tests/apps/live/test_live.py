@@ -40,8 +40,8 @@ from lampest.apps.live.run import (
 )
 from lampest.apps.live.watcher import Scan
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.objective import AutoWeight
 from lampest.estimate.sequence import reconstruct
+from lampest.estimate.weights import AutoWeight
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
