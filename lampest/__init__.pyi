@@ -51,6 +51,7 @@ from .formulation.constraints import KnownCells as KnownCells
 from .formulation.constraints import ProgramPart as ProgramPart
 from .formulation.constraints import part_types as part_types
 from .inference.circuits.model_check import ModelCheck as ModelCheck
+from .panel.circuit import Diode as Diode
 from .panel.circuit import Ends as Ends
 from .panel.circuit import Terminations as Terminations
 from .panel.circuit import scanned as scanned
@@ -58,7 +59,6 @@ from .panel.conditions import Experiment as Experiment
 from .panel.conditions import MeasuredSubject as MeasuredSubject
 from .panel.conditions import Temperature as Temperature
 from .panel.conditions import Water as Water
-from .panel.diode import Diode as Diode
 from .panel.effects import SharedEffect as SharedEffect
 from .panel.effects.line_effect import LineEffect as LineEffect
 from .panel.faults import Faults as Faults
@@ -82,7 +82,7 @@ from .panel.response import PowerResponse as PowerResponse
 from .panel.response import PublishedResponse as PublishedResponse
 from .panel.response import TableResponse as TableResponse
 from .panel.scene import Scene as Scene
-from .panel.scene_file import read_scene as read_scene
+from .panel.scene import read_scene as read_scene
 from .panel.sizes import Systematic as Systematic
 from .recording import datasets as datasets
 from .recording.readings import Readings as Readings

@@ -23,7 +23,7 @@ from lampest.apps.studies.bench import BenchFile
 from lampest.apps.studies.study import OnStep, column
 from lampest.files.errors import InputError
 from lampest.files.typed import check_range
-from lampest.panel.scene_file import scene_text
+from lampest.panel.scene import scene_text
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.compare import Columns
 from lampest.runs.checks import BESIDE

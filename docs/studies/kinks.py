@@ -29,9 +29,8 @@ from lampest.estimate.methods.method import solver_of
 from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Array
 from lampest.solvers.check import check
-from lampest.solvers.hessian import Hessian, by_log, weighted_square
+from lampest.solvers.hessian import Hessian, Smoothing, by_log, weighted_square
 from lampest.solvers.multistart import best_solution, evaluated
-from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solution, Status
 
 PENALTIES: dict[str, type[lampest.Term]] = {

@@ -28,8 +28,7 @@ from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import ENTRIES
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import states_noise
-from lampest.panel.readouts.starts import uniform_branches
-from lampest.panel.readouts.unseen import unseen_scales, unseen_sentence
+from lampest.panel.readouts.starts import uniform_branches, unseen_scales, unseen_sentence
 from lampest.panel.scene import Scene, specified
 from lampest.panel.sizes import ESTIMATED
 from lampest.recording.recording import UNLOADED, Recording

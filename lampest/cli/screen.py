@@ -145,7 +145,7 @@ def scene_of(path: Path | None, assigned: list[str] | None) -> "Scene | None":
 
     Raises InputError with line and column, and for overrides without a file.
     """
-    from lampest.panel.scene_file import read_scene
+    from lampest.panel.scene import read_scene
 
     if path is None and assigned:
         raise InputError("--set: overrides entries of a scene; name its file with --scene")

@@ -23,9 +23,9 @@ from functools import cached_property
 import numpy as np
 
 from lampest.estimate.state import AnyState, SequenceState, Step
+from lampest.panel.difference_network import contact_responses
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array
-from lampest.panel.readouts.wired_network import contact_responses
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import errors_of

@@ -17,8 +17,7 @@ from lampest.files.errors import InputError, in_words
 from lampest.files.typed import Configuration, check_range
 from lampest.formulation.constraints import AnyPart
 from lampest.panel.panel import Mask, Panel
-from lampest.panel.readouts.starts import USUAL_OHM
-from lampest.panel.readouts.unseen import unseen_scales
+from lampest.panel.readouts.starts import USUAL_OHM, unseen_scales
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MATRIX_CELLS
 from lampest.recording.readings import Readings, strongest_frame

@@ -35,8 +35,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from lampest.panel.circuit import CircuitOfLines, Ends, Terminations, nominal_terminations
-from lampest.panel.diode import Diode
+from lampest.panel.circuit import CircuitOfLines, Diode, Ends, Terminations, nominal_terminations
 from lampest.panel.lines import Side, along, of_side, opposite
 from lampest.panel.panel import Array, Mask, Numbers, check_line_memory
 

@@ -21,9 +21,8 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, steihaug
 from lampest.posterior.covariance import DenseErrors, Memory
 from lampest.posterior.linear import IGNORANCE
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.preconditioners import TwoLevel
-from lampest.solvers.smoothing import Smoothing
 
 
 @dataclass(frozen=True, eq=False)

@@ -374,7 +374,7 @@ class Recording(Validated):
         hdf5.set_attributes(file, **FILE_ATTRIBUTES)
         entry = file.create_group("entry")
         hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(self.scene.circuit))
-        from lampest.panel.scene_file import scene_text  # for a file alone
+        from lampest.panel.scene import scene_text  # for a file alone
 
         hdf5.write_text(entry, "scene", scene_text(self.scene))
         if self.start_time is not None:
@@ -474,6 +474,6 @@ def _scene_of(scene: Scene | str | Path | None) -> Scene | None:
     """Return a scene, read from its file where a path is given."""
     if not isinstance(scene, str | Path):
         return scene
-    from lampest.panel.scene_file import read_scene  # for a file alone
+    from lampest.panel.scene import read_scene  # for a file alone
 
     return read_scene(scene)

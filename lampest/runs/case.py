@@ -14,7 +14,7 @@ import numpy as np
 from lampest.files.errors import InputError, brief, extra
 from lampest.files.typed import installed
 from lampest.panel.panel import Array, Mask
-from lampest.panel.scene_file import scene_text
+from lampest.panel.scene import scene_text
 from lampest.recording.file import coordinates
 from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, Columns, ReservedColumn
 from lampest.runs.content import Content

@@ -17,8 +17,7 @@ from lampest.files.document import adapter, parse_document
 from lampest.files.errors import InputError, brief, meant
 from lampest.files.parts import copy_group, join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
-from lampest.panel.scene import Scene, validated_scene
-from lampest.panel.scene_file import scene_text
+from lampest.panel.scene import Scene, scene_text, validated_scene
 from lampest.recording import stored
 from lampest.runs.case import (
     ATTRIBUTES,

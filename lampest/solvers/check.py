@@ -8,8 +8,7 @@ from lampest.cost.problem import ROUNDING, Evaluation
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter
 from lampest.solvers.certificate import Definiteness, certificate
-from lampest.solvers.hessian import Hessian
-from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.solution import (
     UNSETTLED,
     VERIFIED,

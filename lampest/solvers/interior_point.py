@@ -18,9 +18,8 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import SUFFICIENT_DECREASE, backtracked, restricted, steihaug
 from lampest.solvers.certificate import ACCURACY
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.preconditioners import Cholesky, TwoLevel
-from lampest.solvers.smoothing import Smoothing
 
 # Distance of the first point from the bounds, as a share of the median conductance; at most a
 # fiftieth of the distance between the bounds of the cell

@@ -10,9 +10,8 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import MAX_SHARE, Hessian, Smoothing
 from lampest.solvers.preconditioners import Preconditioner
-from lampest.solvers.smoothing import MAX_SHARE, Smoothing
 from lampest.solvers.solution import Outcome, Status
 
 # Steps with the Gauss–Newton matrix before a direction of negative curvature is followed

@@ -14,8 +14,7 @@ from lampest.files.errors import InputError
 from lampest.files.typed import Configuration
 from lampest.panel.panel import Array, Mask
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.inequalities import least_cells, resolution
-from lampest.panel.readouts.starts import nearly_shorted
+from lampest.panel.readouts.starts import least_cells, nearly_shorted, resolution
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, Sidedness, stand_in_spread

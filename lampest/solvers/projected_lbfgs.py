@@ -26,9 +26,8 @@ from lampest.solvers.direction import (
     decreases_enough,
     log_resistance_change,
 )
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.preconditioners import Cholesky
-from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 
 MAX_STEPS = 40  # of a panel in a batch; the solver for single panels continues from there

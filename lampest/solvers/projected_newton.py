@@ -29,10 +29,9 @@ from lampest.solvers.direction import (
     newton_direction,
     sufficient_decrease,
 )
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.iterate import GAUSS_NEWTON_STEPS, MIN_DAMPING, Iterate
 from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor
-from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Solver, Status
 
 # Fraction of a solver's tolerance with absolute losses; optima agree to 1e-9 of the cost.

@@ -23,14 +23,14 @@ from lampest.apps.recognition.mouth_model import BentSuction
 from lampest.files.typed import members_of, shipped
 from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
 from lampest.inference.unobservable import unobservable_numbers
-from lampest.panel import effects
+from lampest.panel import difference_network, effects
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.conditions import water_pressure
 from lampest.panel.effects import error_columns, own_errors, shared_effects
 from lampest.panel.effects.line_effect import effect_on_readings, line_effects
 from lampest.panel.kirchhoff import NormalByLines, Stencil
 from lampest.panel.panel import EachModule, Modules
-from lampest.panel.readouts import AnyReadout, channel_memory, wired_network
+from lampest.panel.readouts import AnyReadout, channel_memory
 from lampest.panel.readouts.converter import (
     averaged_variance,
     converter_in_words,
@@ -40,8 +40,7 @@ from lampest.panel.readouts.converter import (
     sigma_code,
 )
 from lampest.panel.readouts.floating import common_step
-from lampest.panel.readouts.inequalities import least_cells, resolution
-from lampest.panel.readouts.starts import nearly_shorted
+from lampest.panel.readouts.starts import least_cells, nearly_shorted, resolution
 from lampest.panel.readouts.tolerances import (
     channel_errors,
     line_numbers,
@@ -50,8 +49,7 @@ from lampest.panel.readouts.tolerances import (
     simulated,
 )
 from lampest.panel.response import ratio_from_pressure
-from lampest.panel.scene import OwnOfModule
-from lampest.panel.scene_file import scene_text
+from lampest.panel.scene import OwnOfModule, scene_text
 from lampest.recording.readings import Readings
 from lampest.recording.shapes import AnyShape
 from lampest.recording.shapes.disc import annulus_mm2, bearing_kpa, contact_of_weight
@@ -167,10 +165,10 @@ def network_row(scene: lp.Scene) -> dict[str, Any]:
             "some second": second.matrix()[np.ix_(nodes, nodes)],
             "potentials": network.potentials().T,
             "by lines": by_lines(network.normal_by_lines(weights**2)),
-            "wire": wired_network.wire_responses(network, scene.lines or lp.Lines()),
+            "wire": difference_network.wire_responses(network, scene.lines or lp.Lines()),
         }
     if scene.wiring is not None:
-        row["contacts"] = wired_network.contact_responses([network])
+        row["contacts"] = difference_network.contact_responses([network])
     return row
 
 

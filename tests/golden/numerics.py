@@ -40,11 +40,10 @@ from lampest.recording.readings import Readings
 from lampest.solvers import bounds, by_ipopt, multistart, preconditioners
 from lampest.solvers.certificate import certificate
 from lampest.solvers.check import check
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.projected_lbfgs import InverseHessians
 from lampest.solvers.projected_lbfgs import solve as solve_panels
 from lampest.solvers.projected_newton import Iterate, ProjectedNewton, descent_step, levenberg_step
-from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 
 # Costs

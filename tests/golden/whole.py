@@ -50,8 +50,7 @@ from lampest.runs.executors import Serial
 from lampest.solvers import interior_point, projected_newton
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.certificate import certificate
-from lampest.solvers.hessian import Hessian
-from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.hessian import Hessian, Smoothing
 
 # Large panels and long recordings
 

@@ -13,8 +13,7 @@ from lampest.files.document import parse_document, validated
 from lampest.inference.effects.effect import SceneEffect
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.resolve import ENTRIES, MODEL_ERROR, OF_NOISE, resolved_scene
-from lampest.panel.scene import specified
-from lampest.panel.scene_file import scene_text
+from lampest.panel.scene import scene_text, specified
 from lampest.panel.sizes import ESTIMATED, Systematic
 
 SHAPE = (4, 5)

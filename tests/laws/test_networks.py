@@ -20,6 +20,7 @@ from lampest import (
     VirtualGroundReadout,
     two_point_resistance,
 )
+from lampest.panel.difference_network import wire_responses
 from lampest.panel.equation import equation_of
 from lampest.panel.joined_network import JoinedNetwork
 from lampest.panel.network import Network, SolvedNetwork
@@ -27,7 +28,6 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.floating import grounding
 from lampest.panel.readouts.ladder import Ladder
 from lampest.panel.readouts.two_point import ModulesReadout
-from lampest.panel.readouts.wired_network import wire_responses
 from lampest.panel.readouts.wiring import Lines, Wiring
 
 SHAPES = ((1, 1), (1, 7), (4, 3), (5, 6), (9, 2))

@@ -22,7 +22,7 @@ from lampest import (
 )
 from lampest.cost.given import Background
 from lampest.panel.trust_region import steihaug
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.preconditioners import (
     Cholesky,
@@ -31,7 +31,6 @@ from lampest.solvers.preconditioners import (
     Woodbury,
     preconditioner,
 )
-from lampest.solvers.smoothing import Smoothing
 
 SHAPE = (5, 6)
 ALL_CELLS = np.ones(SHAPE[0] * SHAPE[1], dtype=bool)

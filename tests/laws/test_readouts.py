@@ -30,13 +30,13 @@ from lampest import (
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.typed import members_of
 from lampest.panel.circuit import nominal_terminations
+from lampest.panel.difference_network import contact_responses
 from lampest.panel.equation import equation_of
 from lampest.panel.joined_network import JoinedNetwork
 from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.readouts import AnyReadout
 from lampest.panel.readouts.tolerances import simulated
 from lampest.panel.readouts.two_point import ModulesReadout, ParallelDividers
-from lampest.panel.readouts.wired_network import contact_responses
 from lampest.panel.readouts.wiring import Lines, NeighbourLeaks
 from tests.laws.samples import examples
 from tests.netlist import impedance_of

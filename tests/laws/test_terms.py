@@ -23,8 +23,7 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, State, Term, term_types
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
-from lampest.solvers.hessian import Hessian
-from lampest.solvers.smoothing import Smoothing
+from lampest.solvers.hessian import Hessian, Smoothing
 
 PANEL = Panel(3, 4)
 CORNER = 40.0  # of the losses of the union, too

@@ -35,11 +35,10 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
 from lampest.solvers.certificate import certificate, clear_of_rounding
 from lampest.solvers.check import check
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.posed import Bounds
 from lampest.solvers.projected_newton import ProjectedNewton, certified_step
-from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings, Solution, Status
 from tests.least_cost import Circuit
 from tests.netlist import in_digits

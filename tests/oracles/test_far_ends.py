@@ -26,8 +26,8 @@ from lampest import (
     Recording,
     Scene,
 )
+from lampest.panel.difference_network import contact_responses, wire_responses
 from lampest.panel.joined_network import JoinedNetwork
-from lampest.panel.readouts.wired_network import contact_responses, wire_responses
 from tests.estimates import log_errors
 from tests.netlist import network_of, potentials, read_nodes, resistors
 

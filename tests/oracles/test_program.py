@@ -26,9 +26,8 @@ from lampest.formulation.instance import Instance, ProgramResult
 from lampest.formulation.ipopt import Interface
 from lampest.panel.readouts.tolerances import simulated
 from lampest.runs.case import COLUMNS
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.smoothing import Smoothing
 
 NOISE = lampest.Misfit(weighting="noise")
 CONVERGED = 2e-6  # of log r: the certificate holds where the next step moves no cell by 1e-6

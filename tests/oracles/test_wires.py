@@ -33,12 +33,12 @@ from lampest.cost.terms import Gradient, LogRatio, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.estimate.sequence import reconstruct
+from lampest.panel.difference_network import wire_responses
 from lampest.panel.network import SolvedNetwork
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.channel_memory import with_memory, without_memory
 from lampest.panel.readouts.converter import sigma_code
-from lampest.panel.readouts.wired_network import wire_responses
 from lampest.panel.readouts.wiring import (
     ContactPrior,
     Contacts,

@@ -19,11 +19,10 @@ from lampest.solvers.direction import (
     hold_beyond_bounds,
     newton_direction,
 )
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton, trust_region_step
-from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 
 SIDE = 10

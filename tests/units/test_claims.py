@@ -41,10 +41,9 @@ from lampest.inference import model_error
 from lampest.inference.prepared import Prepared
 from lampest.panel.response import PUBLISHED
 from lampest.solvers import direction
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.preconditioners import TwoLevel
-from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Solution, Status
 from tests.estimates import recording_of
 

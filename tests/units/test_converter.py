@@ -27,8 +27,8 @@ from lampest.files.levels import TWO_SIDED
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import resolved_scene
-from lampest.panel.readouts.known_converters import KNOWN_CONVERTERS, Known
-from lampest.panel.scene_file import read_scene, scene_text
+from lampest.panel.readouts.converter import KNOWN_CONVERTERS, Known
+from lampest.panel.scene import read_scene, scene_text
 
 BITS = 10
 STEP = 5 / 2**BITS

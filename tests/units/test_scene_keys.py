@@ -11,8 +11,7 @@ import pytest
 import lampest
 from lampest.files.applications import Application, Applications, applications, loaded
 from lampest.files.typed import Configuration
-from lampest.panel.scene import OF_APPLICATIONS
-from lampest.panel.scene_file import scene_text
+from lampest.panel.scene import OF_APPLICATIONS, scene_text
 
 SCENE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nreadout: {kind: two_point}\n"
 

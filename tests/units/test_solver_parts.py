@@ -29,10 +29,10 @@ from lampest.solvers.direction import (
     newton_direction,
     stalled,
 )
+from lampest.solvers.hessian import Smoothing
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.multistart import evaluated, most_starts
 from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton
-from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 
 STUDENT = lampest.Student(corner=3.0)

@@ -24,7 +24,7 @@ from lampest.audit.finding import with_lines
 from lampest.cost.terms import term_kind
 from lampest.inference.circuits.model_check import ModelCheck
 from lampest.inference.prepared import Prepared
-from lampest.panel.readouts.unseen import unseen_scales
+from lampest.panel.readouts.starts import unseen_scales
 
 INPUTS = DrivenReadout(
     drive_ohm=45.0, idle_ohm=45.0, load_ohm=inf, supply_volt=3.3, adc_bits=16, readings=1

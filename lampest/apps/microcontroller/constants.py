@@ -16,9 +16,8 @@ from lampest.panel.equation import equation_of
 from lampest.panel.lines import Side, along, of_side, opposite
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.readouts.inequalities import resolution
 from lampest.panel.readouts.keys import entry
-from lampest.panel.readouts.unseen import unseen_scales
+from lampest.panel.readouts.starts import resolution, unseen_scales
 from lampest.panel.scene import Scene
 from lampest.runs.case import CaseResult
 

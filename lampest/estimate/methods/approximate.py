@@ -16,11 +16,10 @@ from lampest.estimate.state import AnyState
 from lampest.files.errors import BROKEN
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import steihaug
-from lampest.solvers.hessian import Hessian
+from lampest.solvers.hessian import Hessian, Smoothing
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.preconditioners import preconditioner
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
 
 # Relative residual of conjugate gradients: lines dominate single cells in the quadratic model, and

@@ -23,8 +23,12 @@ from lampest.files.typed import Configuration
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.floating import common_step
-from lampest.panel.readouts.starts import panels_beyond_folds, several_panels, uniform_branches
-from lampest.panel.readouts.unseen import unseen_scales
+from lampest.panel.readouts.starts import (
+    panels_beyond_folds,
+    several_panels,
+    uniform_branches,
+    unseen_scales,
+)
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import UNKNOWN_SD, LinearModel

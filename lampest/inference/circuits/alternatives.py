@@ -28,8 +28,7 @@ from lampest.inference.circuits.kinds import (
 from lampest.panel.lines import SeriesPerLine, opposite
 from lampest.panel.panel import Array, Numbers
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.converter import Characteristic
-from lampest.panel.readouts.known_converters import Known
+from lampest.panel.readouts.converter import Characteristic, Known
 from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail

@@ -396,7 +396,7 @@ class Shared:
         """
         parts: list[Array] = [np.zeros((measured.size, 0))]
         if self.contact_root is not None:
-            from lampest.panel.readouts.wired_network import contact_responses  # for contacts alone
+            from lampest.panel.difference_network import contact_responses  # for contacts alone
 
             parts.append(contact_responses([network]) @ self.contact_root)
         if self.possible is not None:

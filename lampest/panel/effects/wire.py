@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
+from lampest.panel.difference_network import wire_responses
 from lampest.panel.effects import SharedEffect
 from lampest.panel.lines import MAX_OHM
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.readouts.wired_network import wire_responses
 from lampest.panel.readouts.wiring import Lines, Wiring
 from lampest.panel.scene import Scene
 

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Literal
 
-from lampest.panel.circuit import FOLLOWS, Terminations
-from lampest.panel.diode import Diode
+from lampest.panel.circuit import FOLLOWS, Diode, Terminations
 from lampest.panel.lines import (
     Groups,
     PerLine,

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from lampest.panel.circuit import Ends, Terminations
-from lampest.panel.diode import Diode
+from lampest.panel.circuit import Diode, Ends, Terminations
 from lampest.panel.lines import Groups, PerLine, Side, lines_text, opposite
 from lampest.panel.readouts.keys import driven_ends, ends_in_words, ends_with_loads, idle_ends
 from lampest.panel.readouts.readout import Readout

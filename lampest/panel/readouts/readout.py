@@ -3,7 +3,7 @@
 A kind of readout is one file with its keys and one function from keys to ends, `terminations`. All
 else follows from the ends: `lampest.panel.equation` has the equation of the readings,
 `lampest.panel.readouts.starts` the cells at which solves begin,
-`lampest.panel.readouts.inequalities` the bounds, and `lampest.panel.readouts.tolerances` the
+`lampest.panel.readouts.starts` the bounds, and `lampest.panel.readouts.tolerances` the
 errors of resistors and channels.
 """
 
@@ -34,17 +34,19 @@ from lampest.panel.network import Network, SolvedNetwork
 from lampest.panel.panel import Array, Numbers, Panel, Shape
 from lampest.panel.readouts import starts
 from lampest.panel.readouts.converter import (
+    KNOWN_CONVERTERS,
     MAX_VOLT,
     MIN_VOLT,
     USUAL_NOISE_LSB,
     Characteristic,
+    Known,
+    KnownConverter,
     mean_sigma,
     relative_step,
     stated_characteristic,
 )
 from lampest.panel.readouts.floating import grounding, two_point_resistance
 from lampest.panel.readouts.keys import check_keys, check_on_panel, entry
-from lampest.panel.readouts.known_converters import KNOWN_CONVERTERS, Known, KnownConverter
 from lampest.panel.readouts.scan_order import check_scan_order
 from lampest.panel.readouts.starts import USUAL_OHM
 from lampest.panel.readouts.wiring import Wiring, connected_parts

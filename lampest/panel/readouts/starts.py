@@ -1,20 +1,29 @@
-"""Starts of solves on circuits that drive lines: closed forms, uniform panels, exact readings.
+"""What readings of a circuit tell of cells before a solve: starts, bounds, and unseen scales.
 
-All are functions of a circuit whose lines end as `lampest.panel.circuit` says.
+All are functions of a circuit whose lines end as `lampest.panel.circuit` says. Starts are closed
+forms, uniform panels, or panels that give the readings exactly.
+
+A direction in which no reading changes is a null vector of J = ∂y/∂ln r. The vector belongs to the
+circuit, not to the cells: inputs without any resistor, with idle lines held at ground, read a mean
+of potentials weighted by the conductances of a column, and a factor on the column changes none of
+them. One search at scattered cells finds it for a circuit.
 """
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Literal, Protocol
 
 import numpy as np
 
+from lampest.files.levels import NOISE_REACH
 from lampest.panel.circuit import CircuitOfLines, nominal_terminations
 from lampest.panel.equation import Equation, equation_of
+from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import branches
 from lampest.panel.readouts.branches import LEVELS, MAX_CELLS, MIN_FOLD
 from lampest.panel.readouts.floating import convex_start, uniform_factor
-from lampest.panel.readouts.unseen import SolvableCircuit, unseen_scales
+from lampest.panel.readouts.wiring import Wiring
 
 UNIFORM_LEVELS = 140  # of uniform panels, from 10 ohm to 100 Mohm: 12 % from one to the next
 UNIFORM_KNOTS = 48  # of these levels that networks are solved for; the others are interpolated
@@ -23,6 +32,30 @@ MIN_LOAD_SHARE = 1e-3  # of a load: least apparent resistance, for readings at t
 # Of the apparent resistance: readings of such a cell differ by a millionth from those of a short.
 SHORT_SHARE = 1e-6
 OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
+Scale = Literal["all", "rows", "columns"]
+TYPICAL_OHM = 3000.0
+SCATTER = 0.5  # of ln r, so that no direction is null by symmetry
+MAX_LINES = 8  # of a side: a circuit without lists has the same null vectors at any size
+MAX_LISTED_CELLS = 400  # of a circuit with lists
+NULL = 1e-6  # singular value over the largest; of readings that are shown 0.01 and more
+WITHIN = 0.9  # share of a scale's square that lies in the null space
+LARGEST_OHM = 1e8  # of cells whose scale no reading shows: insulation beside usual ones
+
+
+class SolvableCircuit(CircuitOfLines, Protocol):
+    """Interface of a readout whose cells are searched for."""
+
+    def ties(self, measured: Array) -> Array:
+        """Return the ties of the lines, see `Readout.ties`."""
+
+    def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
+        """Return the solved network, see `Readout.network`."""
+
+    def uniform_start(self, measured: Array) -> Array:
+        """Return cells (…, rows, columns) ohm as if all were equal."""
+
+    def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
+        """Return the readings of cells (…, rows, columns) ohm."""
 
 
 def _equation(circuit: CircuitOfLines, measured: Array) -> Equation:
@@ -269,3 +302,121 @@ def uniform_responses(circuit: SolvableCircuit, rows: int, columns: int) -> Arra
         network = circuit.network(cells, circuit.ties(cells))
         largest = np.maximum(largest, np.abs(network.own_response()) * level)
     return largest
+
+
+def unseen_scales(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, ...]:
+    """Return the scales that no reading shows: of all cells, of each row, of each column.
+
+    A load, or nothing that conducts elsewhere, shows the scale.
+    """
+    equation = equation_of(circuit, rows, columns)
+    if np.isfinite(equation.load).all() or equation.floating:
+        return ()
+    listed = any(isinstance(value, tuple) for value in vars(circuit).values())
+    if not listed:
+        return _unseen(circuit, min(rows, MAX_LINES), min(columns, MAX_LINES))
+    return _unseen(circuit, rows, columns) if rows * columns <= MAX_LISTED_CELLS else ()
+
+
+@lru_cache(maxsize=64)
+def _unseen(circuit: SolvableCircuit, rows: int, columns: int) -> tuple[Scale, ...]:
+    """Return the scales of a circuit that lie in the null space of its Jacobian at random cells.
+
+    A scale is unseen if more than WITHIN of the square of each of its directions lies there.
+    """
+    scatter = SCATTER * np.random.default_rng(1).standard_normal((rows, columns))
+    cells = TYPICAL_OHM * np.exp(scatter)
+    # An orthonormal basis of the directions of ln r that no reading shows
+    _, singular, basis = np.linalg.svd(circuit.network(cells, circuit.ties(cells)).sensitivity())
+    null = basis[singular <= NULL * singular[0]]
+    # Directions of each scale, (cells, directions)
+    scales: dict[Scale, Array] = {
+        "all": np.ones((cells.size, 1)),
+        "rows": np.repeat(np.eye(rows), columns, axis=0),
+        "columns": np.tile(np.eye(columns), (rows, 1)),
+    }
+    return tuple(
+        name
+        for name, along in scales.items()
+        if np.all(np.sum((null @ along) ** 2, axis=0) > WITHIN * np.sum(along**2, axis=0))
+    )
+
+
+def unseen_sentence(scales: tuple[str, ...]) -> str:
+    """Return the scales in words, with the cure; '' for none."""
+    if not scales:
+        return ""
+    of_lines = " and ".join(name for name in scales if name != "all")
+    scale = f"each of the {of_lines} has a scale of its own" if of_lines else "all cells share one"
+    return (
+        f"{scale} that no reading shows: no resistor sets it; only ratios of cells within them "
+        "are known, and a resistor from each sensed line to ground (load_ohm) would show it"
+    )
+
+
+def least_cells(circuit: SolvableCircuit, measured: Array, sigma: Array | None) -> Array:
+    """Return lower bounds of the cells, (…, rows, columns) ohm, for readings and their σ.
+
+    Parallel paths lower a two-point resistance, r ≥ R; paper, equation (12). σ is None if it is
+    unknown.
+    """
+    equation = equation_of(circuit, *measured.shape[-2:])
+    if equation.terminations.two_point:
+        return measured.copy()
+    least = nearly_shorted(circuit, measured)
+    bound = _least_by_currents(equation, measured, sigma)
+    return least if bound is None else np.maximum(bound, least)
+
+
+def _least_by_currents(equation: Equation, measured: Array, sigma: Array | None) -> Array | None:
+    """Return the lower bounds r_ij ≥ u_i/I_i − Rs_j of the cells, where idle lines float.
+
+    Shape (…, rows, columns), ohm. I_i = Σ_j V_ij/Rs_j is the current of the driven line, increased
+    by its noise, and u_i = U − Rd_i I_i − V_d its potential. The bound holds because I_i is at
+    least the current through each cell and its load alone. Where other lines conduct to ground,
+    cells can increase and decrease a reading, r > 0 alone holds, and the result is None. So it is
+    where a reading is not the voltage of a load.
+    """
+    if equation.terminations.at_far_end:
+        return None
+    table = equation.terminations.sensing
+    loaded_or_floating = (table.ohm == equation.sensing.own.ohm) | np.isinf(table.ohm)
+    idle_float = np.isinf(equation.driving.base.ohm).all() and loaded_or_floating.all()
+    if not (equation.plain and idle_float and np.isfinite(equation.load).all()):
+        return None
+    volt = equation.volt(measured)
+    by_volt = 1 / (equation.gain * equation.load)
+    # Upper bound of the current, and with it a lower bound of the potential
+    current = equation.sum_together(volt * by_volt)
+    if sigma is not None:
+        of_volt = equation.volt_sigma(measured, sigma)
+        noise = np.where(np.isfinite(of_volt), of_volt, volt) * by_volt
+        current = current + NOISE_REACH * np.sqrt(equation.sum_together(noise**2))
+    driven = np.maximum(equation.driven_volt(current, equation.drive), 0)
+    return driven / current - equation.load
+
+
+def resolution(circuit: SolvableCircuit, measured: Array, sigma: Array) -> Array:
+    """Return the resolution limit r_max = |∂y_c/∂g_c|/σ at the uniform start.
+
+    Shape (…, rows, columns), in ohm. An open cell in place of a cell of r_max changes its reading
+    by the noise σ: r_max = R²/σ of two-point readings. r_max is at least twice the start. Without a
+    scale it is that of any cell: no reading says more. Where no closed form gives a cell by its
+    reading, it is the largest limit of uniform panels: a press moves the readings of other cells
+    beyond those of any uniform panel.
+    """
+    shape = measured.shape[-2:]
+    if unseen_scales(circuit, *shape):
+        return np.full(measured.shape, LARGEST_OHM)
+    if by_uniform_panels(circuit, measured):
+        return uniform_responses(circuit, *shape) / sigma
+    start = circuit.uniform_start(measured)
+    if nominal_terminations(circuit).two_point:
+        return np.maximum(measured**2 / sigma, 2 * start)
+    if measured.ndim > 2:
+        return np.stack(
+            [resolution(circuit, *frame) for frame in zip(measured, sigma, strict=True)]
+        )
+    response = circuit.network(start, circuit.ties(measured)).own_response()
+    # |∂y_c/∂g_c|/σ = |J_cc|/(g σ) = |J_cc|·r/σ
+    return np.maximum(np.abs(response) * start / sigma, 2 * start)
