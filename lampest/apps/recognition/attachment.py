@@ -438,7 +438,7 @@ def _contacts(frame: Observation) -> list[Mask]:
     likelihood ratio: where a load lowers the sensitivity, as with large pull-ups, the standard
     deviation of a pressed cell does not show whether it is pressed.
     """
-    level = frame.common_change()
+    level = frame.common_change
     uneven = np.diag(level.uneven).reshape(frame.measured.shape)
     sd = np.sqrt(frame.mean_sd**2 + frame.drift_sd**2 + uneven)
     least = frame.free.misfit + SIGNIFICANT**2

@@ -90,7 +90,7 @@ class CellsUnderPrior:
 
 def without_load(frame: Observation) -> list[CellsUnderPrior]:
     """Return the explanations by no load, and by a common change of all cells."""
-    level = frame.common_change()
+    level = frame.common_change
     common = UNIFORM_SD**2 * np.outer(level.unit, level.unit) + level.uneven
     start = np.zeros(frame.measured.shape)
     return [CellsUnderPrior.of(frame, start, each) for each in (np.zeros_like(common), common)]

@@ -221,11 +221,11 @@ class StepTest:
         np.maximum.at(largest, self.places, self.scores(change))
         return np.asarray(np.where(self.near, largest, 0.0).max(axis=1)[self.places])
 
-    def after(self, scores: Array, share: float) -> "StepTest":
+    def after(self, scores: Array, share: Array | float) -> "StepTest":
         """Return the test after the scores, (discs,), of a frame without a load.
 
         v_k² is a running mean; a score counts up to NOISE_REACH v_k, so that a change which is just
-        no step does not hide the next one. `share` is the weight of the frame.
+        no step does not hide the next one. `share` is the weight of the frame, of each disc or all.
         """
         square = np.minimum(scores**2, NOISE_REACH**2 * np.maximum(self.loud, 1.0))
         return replace(self, loud=self.loud + share * (square - self.loud))

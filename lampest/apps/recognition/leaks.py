@@ -46,7 +46,7 @@ def leaks_of(frame: Observation) -> Leaks | None:
     known = frame.baseline.leaks
     # Further leaks are between lines of which MIN_FALLEN of the cells have fallen.
     panel = frame.panel
-    level = frame.common_change()
+    level = frame.common_change
     sd = np.hypot(frame.free_sd.ravel(), np.sqrt(np.diag(level.uneven))).reshape(panel.shape)
     fallen = panel.present & (frame.free_map - level.mean < -NOISE_REACH * sd)
     shares = [

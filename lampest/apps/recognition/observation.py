@@ -286,7 +286,7 @@ class CommonChange(NamedTuple):
     uneven : array, shape (cells, cells)
         Covariance of ln r/r0 by films that respond differently.
     mean : array, shape (rows, columns)
-        ln r/r0 by the level of the water.
+        ln r/r0 by the level of the water; 0 where an equal change leaves less scatter.
     """
 
     unit: Array
@@ -482,8 +482,9 @@ class Observation:
         at_rest = np.sqrt(np.maximum(variance, np.finfo(float).eps)).reshape(self.measured.shape)
         return np.asarray(2 / (1 / at_rest + 1 / self.free_sd))
 
+    @cached_property
     def common_change(self) -> CommonChange:
-        """Return the change that all cells share.
+        """The change that all cells share.
 
         In air that is a drift, which is equal in all of them. Under water it is a level, the
         pressure that most cells show, to which films respond differently. It has risen by no more
@@ -500,10 +501,22 @@ class Observation:
         change, _ = self.change(np.full(still.shape, level))
         most = LEVEL_RATE * (self.seconds + FOLLOWS_S)
         mean, _ = self.change(np.full(still.shape, np.clip(level, -most, most)))
+        # a level, which depth makes unequal, or an equal drift: by the scatter that it leaves
+        scatters = [
+            np.median(np.abs(left - np.median(left)))
+            for left in (self.free_map - mean, self.free_map)
+        ]
         unit = change.ravel() / max(np.abs(np.median(change)), np.finfo(float).tiny)
         film, _ = self.baseline.film_parts(np.stack([change, still, still]))
         uneven = (UNEVENNESS * self.baseline.model_errors.response) ** 2 * film
-        return CommonChange(unit, uneven, mean)
+        return CommonChange(unit, uneven, mean if scatters[0] < scatters[1] else still)
+
+    @property
+    def level_reading(self) -> Array:
+        """Change of ln f, (cells,), by the level of the water."""
+        baseline = self.baseline
+        at_level = baseline.network(self.common_change.mean).reading()
+        return np.log(at_level / baseline.network().reading()).ravel()
 
     def without(self, dropped: Numbers) -> "Observation":
         """Return the observation without the readings of these numbers.

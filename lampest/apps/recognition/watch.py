@@ -91,6 +91,8 @@ class Watch:
         Time of the next recognition.
     look : Look or None
         The last recognition.
+    seen : array, shape (cells,), or None
+        The readings at the last look since the load arrived, ln y.
     film_sd : array, shape (cells,), or 0
         Standard deviation of ln r0 by the residue of earlier loads in the film.
     history : str
@@ -124,6 +126,7 @@ class Watch:
     known: bool = False
     next_s: float = np.inf
     look: Look | None = None
+    seen: Array | None = None
     film_sd: Array | float = 0.0
     history: str = ""
     faults: tuple[tuple[str, float], ...] = ()
@@ -324,7 +327,9 @@ class Watch:
         level = self.level.after(shown, time)
         if self.present:
             return replace(self, level=level, window=latest((*self.window, (time, logarithm))))
-        share = min((time - self.level.until_s) / FOLLOWS_S, 1.0)
+        # scores of a residue that fades are not those of noise
+        counts = self._least_step(time) <= self.test.least()
+        share = counts * min((time - self.level.until_s) / FOLLOWS_S, 1.0)
         scores = self.test.scores(shown - self.level.expected)
         rest = replace(level, frames=max(level.frames, self.rest.frames))
         return replace(
@@ -355,17 +360,23 @@ class Watch:
     def _steps_to(self, logarithm: Array, time: float) -> bool:
         """Return whether readings ln y at a time in s are a step from the level.
 
-        So are those that have changed slowly by as much since the load was recognised.
+        So are those that have changed slowly by as much since the last look at a load.
         """
         scores = self.test.scores(logarithm - self.level.expected)
         if np.any(scores >= self._least_step(time)):
             return True
-        look = self._standing_look
-        if not self.known or look is None:
+        if not self.known or self.seen is None:
             return False
-        since = logarithm - np.log(look.verdict.frame.measured).ravel()
+        return self._is_half_of_the_load(logarithm - self.seen)
+
+    def _is_half_of_the_load(self, change: Array) -> bool:
+        """Return whether ln y changes by MIN_CHANGE of the present load where that is clearest."""
+        look = self._standing_look
+        if look is None:
+            return False
         clearest = look.size.max()
-        return bool(np.any(self.test.scores(since)[look.size == clearest] >= MIN_CHANGE * clearest))
+        scores = self.test.scores(change)[look.size == clearest]
+        return bool(scores.max() >= MIN_CHANGE * clearest)
 
     def _least_step(self, time: float) -> Array:
         """Return thresholds of the scores, (discs,): parts of the load or of a fading residue."""
@@ -434,15 +445,13 @@ class Watch:
         return all(self._has_left(load, frame) for load in self._standing)
 
     def _has_left(self, load: Attachment, frame: Observation) -> bool:
-        """Return whether a frame shows no more of one load than the film's residue.
-
-        The common change by temperature is subtracted.
-        """
+        """Return whether a frame shows no more of one load than the film's residue."""
         if load.held is None or self.look is None:
             return True
-        change = frame.free_map - self._common(frame.free_map)
+        change = frame.free_map - self._shared(frame)
+        read = self.sigma < frame.measured
         return load.held.has_left(
-            change, frame.free_sd, self.look.reached, self.setup.errors.residue
+            change, frame.free_sd, self.look.reached, self.setup.errors.residue, read
         )
 
     @property
@@ -450,11 +459,16 @@ class Watch:
         """The attachments that are present."""
         return tuple(load for load in self.attachments if load.present)
 
-    def _common(self, change: Array) -> float:
-        """Return the median of ln r/r0, (rows, columns), over the cells without a load."""
+    def _shared(self, frame: Observation) -> Array:
+        """Return ln r/r0, (rows, columns), by the water's level and by what cells share beside it.
+
+        The latter, as temperature changes it, is the median over the cells without a load.
+        """
+        level = frame.common_change.mean
+        change = frame.free_map - level
         look = self._standing_look
         free = change if look is None else change[look.verdict.changed == 0]
-        return float(np.median(free)) if free.size else 0.0
+        return level + (np.median(free) if free.size else 0.0)
 
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` after a step of the recognised load.
@@ -546,8 +560,10 @@ class Watch:
         quiet = noise or self._is_residue(verdict)
         look = self.look
         loads = list[Attachment]()
+        seen = np.log(frame.measured).ravel()
+        change = seen - self.rest.mean - frame.level_reading
         if not quiet:
-            sizes = self.test.sizes(self.level.mean - self.rest.mean)
+            sizes = self.test.sizes(change)
             look = Look.after(self.look, verdict, sizes, time)
             first = self._standing_look is None and not self.attachments
             if first and relieved_by_departure(verdict) and self.setup.explained():
@@ -560,13 +576,12 @@ class Watch:
             )
             if self._standing_look is None and self._as_before(verdict):
                 return self._gone(since)
-        watch = replace(self, known=True, next_s=again, former=None)
+        watch = replace(self, known=True, next_s=again, former=None, seen=seen)
         if not loads and not quiet and self._standing_look is None:
             watch = replace(watch, history=RELIEVED)
             return watch if time - since < WINDOW_S else watch._gone(since)
         # the readings may still show a load that was recognised since the last step
-        recognised = self._standing_look is not None and self.known
-        shown = quiet and recognised and self._stands_out_in(self.level.mean)
+        shown = quiet and self.known and self._is_half_of_the_load(change)
         if not loads and self._left(frame) and not shown:
             return self._gone(time if self.known else since)
         has_left = partial(self._has_left, frame=frame)
@@ -611,7 +626,7 @@ class Watch:
         if self.known or look is None:
             return False
         change = verdict.changed
-        remains = np.where(change != 0, change - self._common(verdict.frame.free_map), 0.0)
+        remains = np.where(change != 0, change - self._shared(verdict.frame), 0.0)
         if any(load.held is not None and np.any(load.held.change < 0) for load in self._standing):
             remains = np.minimum(remains, 0.0)
         remains = np.where(np.abs(remains) > MIN_FALL, np.abs(remains), 0.0)  # less is drift

@@ -346,7 +346,9 @@ class Hold(NamedTuple):
         kept = np.sum((shown * size)[counts]) >= KEPT_SHARE * np.sum(size[counts] ** 2)
         return self if kept and np.any(self._clear) else later
 
-    def has_left(self, change: Array, sd: Array, reached: Array, residue: float) -> bool:
+    def has_left(
+        self, change: Array, sd: Array, reached: Array, residue: float, read: Mask
+    ) -> bool:
         """Return whether the cells show no more of the load than the film's residue.
 
         With the change h of the load, and the residue ρR of the largest change R of each cell, it
@@ -355,7 +357,7 @@ class Hold(NamedTuple):
             Σ |h| x sgn h ≤ Σ |h| min(NOISE_REACH ρR, (|h| + ρR)/2):
 
         the readings are nearer to the residue than to the load. Cells whose standard deviation is
-        larger than h say nothing. If that holds for all of them, the load has not left.
+        larger than h say nothing. If the readings of all cells are lost, the load has not left.
 
         Parameters
         ----------
@@ -365,11 +367,13 @@ class Hold(NamedTuple):
             R, the largest |ln r/r0| since the load arrived.
         residue : float
             ρ, the standard deviation of the residue over R.
+        read : boolean array, shape (rows, columns)
+            Cells whose readings are not lost.
         """
         size = np.abs(self.change)
         residues = residue * np.maximum(reached, size)
         counts = self._clear & (size > sd)
-        if np.any(self._clear) and not np.any(counts):
+        if np.any(self._clear) and not np.any(self._clear & read):
             return False
         most = np.minimum(NOISE_REACH * residues, (size + residues) / 2)
         return bool(np.sum((change * self.change)[counts]) <= np.sum((size * most)[counts]))

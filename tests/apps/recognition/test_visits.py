@@ -153,13 +153,16 @@ def test_a_load_stays_until_its_own_cells_show_no_more_than_a_residue() -> None:
     together = held.followed_by(Hold(another, sd))
     assert together is held
     reached = np.abs(another)
-    assert not together.has_left(held.change, sd, reached, 0.12)
-    assert together.has_left(0.1 * another, sd, reached, 0.12)
-    assert not together.has_left(0.1 * another, np.ones((5, 5)), reached, 0.12)
+    read = np.ones((5, 5), dtype=bool)
+    assert not together.has_left(held.change, sd, reached, 0.12, read)
+    assert together.has_left(0.1 * another, sd, reached, 0.12, read)
+    unknown = np.ones((5, 5))
+    assert together.has_left(0.1 * another, unknown, reached, 0.12, read)
+    assert not together.has_left(0.1 * another, unknown, reached, 0.12, ~read)
     weaker = Hold(0.4 * held.change, sd)
     assert held.followed_by(weaker) is weaker
-    assert weaker.has_left(0.25 * held.change, sd, 3 * np.abs(held.change), 0.12)
-    assert not weaker.has_left(0.25 * held.change, sd, np.abs(weaker.change), 0.12)
+    assert weaker.has_left(0.25 * held.change, sd, 3 * np.abs(held.change), 0.12, read)
+    assert not weaker.has_left(0.25 * held.change, sd, np.abs(weaker.change), 0.12, read)
 
 
 def waved(since_s: float, x_mm: float = 40.0, clear: float = 10.0) -> Attachment:
