@@ -16,7 +16,7 @@ from golden.content import of_kind
 from golden.estimates import simulated
 
 import lampest as lp
-from lampest.apps.recognition import observation
+from lampest.apps.recognition import most_probable, observation
 from lampest.apps.recognition.attachment import Attachment, continued_by
 from lampest.apps.recognition.breath import Breath, breath, too_slow
 from lampest.apps.recognition.breathing import Breathing
@@ -891,7 +891,7 @@ def outlying_row() -> list[Any]:
         (wrong[0], wrong[:2].sum(axis=0), wrong.T @ [1.0, -1.0, 3.0, 2.0, 2.0]),
     )
     return [
-        observation.outliers(observation.Whitening(root), noise + size * each)
+        most_probable.outliers(most_probable.Whitening(root), noise + size * each)
         for size, each in cases
     ]
 

@@ -35,7 +35,7 @@ from lampest.apps.recognition.hypotheses import (
     WANDER,
     Cause,
 )
-from lampest.apps.recognition.observation import Whitening
+from lampest.apps.recognition.most_probable import Whitening
 from lampest.apps.recognition.steady_frames import SteadyFrames
 from lampest.apps.recognition.swings import EDGE_SD, Patterns
 from lampest.files.levels import SIGNIFICANT

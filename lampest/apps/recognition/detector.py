@@ -18,8 +18,9 @@ from scipy.special import expit, logsumexp
 
 from lampest.apps.recognition.disc_search import DiscSearch
 from lampest.apps.recognition.hypotheses import EVIDENCE_SHARE
+from lampest.apps.recognition.most_probable import Whitening, outliers
 from lampest.apps.recognition.mouth_model import SuckingDisc
-from lampest.apps.recognition.observation import Observation, Whitening, alone, outliers
+from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.suction import MIN_RISE, suctions
 from lampest.files.levels import MAX_MEAN_SQUARE, NOISE_REACH, SIGNIFICANT
 from lampest.panel.panel import Array, Numbers, Panel
@@ -308,13 +309,20 @@ class Detector(NamedTuple):
         crosstalk a pressed cell changes its own reading alone, as an outlier does; but a contact
         has neighbouring cells, so that only readings without an outlying neighbour are left out.
         """
-        whitening = Whitening.about(frame)
+        whitening = frame.whitening()
         residual = frame.residual()
         undisturbed = frame.without(alone(frame.panel, outliers(whitening, residual)))
-        errors = Whitening.about(undisturbed) @ residual
+        errors = undisturbed.whitening() @ residual
         if errors @ errors >= MAX_MEAN_SQUARE * errors.size:
             return None
         response = whitening @ frame.slope()
         # scores (B t)ᵀ e of the templates, N(0, 1) without a load
         stands_out = self.search(frame.panel).matched(response).T @ (response.T @ errors)
         return undisturbed if stands_out.max() < SIGNIFICANT else None
+
+
+def alone(panel: Panel, cells: Numbers) -> Numbers:
+    """Return those of the numbered cells that have no neighbour among them."""
+    first, second, _ = panel.neighbours
+    both = np.isin(first, cells) & np.isin(second, cells)
+    return np.setdiff1d(cells, np.concatenate([first[both], second[both]]))

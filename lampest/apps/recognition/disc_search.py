@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array, diags_array, vstack
 
+from lampest.apps.recognition.most_probable import Whitening
 from lampest.apps.recognition.mouth_model import EVEN, pressure_at_places
-from lampest.apps.recognition.observation import Observation, Whitening
+from lampest.apps.recognition.observation import Observation
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANT
 from lampest.panel.panel import Array, Mask, Panel
 from lampest.panel.response import RESPONSE_SD

@@ -20,12 +20,8 @@ from numpy.typing import ArrayLike
 from scipy.special import softmax
 
 from lampest.apps.recognition.hypotheses import EVIDENCE_SHARE
-from lampest.apps.recognition.observation import (
-    UNEVENNESS,
-    MostProbable,
-    Observation,
-    Whitening,
-)
+from lampest.apps.recognition.most_probable import MostProbable, Whitening
+from lampest.apps.recognition.observation import UNEVENNESS, Observation
 from lampest.apps.recognition.suction import Suction, under
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
@@ -448,4 +444,4 @@ class SuckingDisc:
 
     def _errors_about(self, parameters: Array) -> Whitening:
         """Return the errors of the readings about a disc."""
-        return Whitening.about(self.frame, *self._expected(parameters))
+        return self.frame.whitening(*self._expected(parameters))

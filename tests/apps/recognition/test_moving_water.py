@@ -17,7 +17,7 @@ from lampest import (
     TwoPointReadout,
     two_point_resistance,
 )
-from lampest.apps.recognition.observation import Observation, Whitening
+from lampest.apps.recognition.observation import Observation
 from lampest.apps.recognition.steady_frames import SteadyFrames, changes_without_water
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import Array
@@ -105,7 +105,7 @@ def test_errors_that_readings_share_do_not_explain_a_load() -> None:
         setup = replace(setup, errors=replace(setup.errors, response=0.0))
         baseline = setup.baseline(known.resting, known.sigma, UNLOADED)
         frame = setup.frame(recording.readings().value[-1], known.sigma, baseline)
-        errors = Whitening.about(frame) @ frame.residual()
+        errors = frame.whitening() @ frame.residual()
         chi_squares.append(errors @ errors)
     assert chi_squares[1] > 0.5 * chi_squares[0]
 
