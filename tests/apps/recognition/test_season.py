@@ -56,8 +56,8 @@ def test_the_residue_of_loads_that_left_is_no_contact() -> None:
 def test_every_mouth_and_cup_of_a_season_is_one_row(seed: int) -> None:
     """Water rises, and loads settle slowly, fade or leave their residue in the film meanwhile.
 
-    Of these seasons 2, 1 and 5 such visits were lost while the baseline followed only loads that
-    were recognised, and drift made the test for steps deaf.
+    Of these seasons 2, 1 and 5 such visits were lost or in parts while the baseline followed only
+    loads that were recognised, and drift made the test for steps deaf.
     """
     season, water = drawn(seed, rate=1.0)
     answer = rows_of(season.recording(water))
