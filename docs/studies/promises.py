@@ -71,7 +71,7 @@ BREAKS = {
         "solvers/by_ipopt.py", "Ipopt.solve", "data = data.limited(1e-9)"
     ),
     "optima_of_every_circuit_equal_those_of_the_reduced_solver": Break(
-        "formulation/instance.py", "ProgramResult.cells", "return 1.001 * result"
+        "formulation/instance.py", "Instance.cells_of", "return 1.001 * result"
     ),
     "an_end_at_a_saddle_is_no_optimum": Break(
         "solvers/certificate.py", "Modes.definiteness", "return Definiteness.POSITIVE"

@@ -7,7 +7,7 @@ import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
 
-from lampest.formulation.instance import ProgramResult, on_bounds
+from lampest.formulation.instance import Instance, ProgramResult, on_bounds
 from lampest.panel.panel import Array, Mask
 
 SLOPE_ROUNDING = 1e-10  # of the unit of costs: a slope that may be the rounding of its parts
@@ -46,6 +46,7 @@ class Directions:
     @classmethod
     def of(
         cls,
+        instance: Instance,
         result: ProgramResult,
         equations: Array,
         jacobian: scipy.sparse.csc_array,
@@ -58,6 +59,7 @@ class Directions:
 
         Parameters
         ----------
+        instance : Instance
         result : ProgramResult
         equations : array, shape (constraints,)
             Values of the constraints.
@@ -65,7 +67,6 @@ class Directions:
         hessian : sparse array, shape (unknowns, unknowns)
             ∇²L.
         """
-        instance = result.instance
         program = instance.program
         x = result.unknown
         names = np.repeat([*program.unknown.sizes], [*program.unknown.sizes.values()])

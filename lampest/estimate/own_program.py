@@ -25,7 +25,7 @@ from lampest.estimate.methods import named_method
 from lampest.estimate.own_solution import OwnSolution
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError, in_words
-from lampest.formulation.instance import Instance, ProgramResult
+from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.ipopt import Interface
 from lampest.formulation.patterns import EXCITATIONS
 from lampest.formulation.program import Program
@@ -146,15 +146,17 @@ class OwnProgram(SymbolsOwner):
             status for frame, status in self.unread.items() if not self.symbols.own_speaks_of(frame)
         ]
         if unsolved:
-            return OwnSolution(ProgramResult.none(instance), unsolved[0])
+            return OwnSolution(instance, ProgramResult.none(instance), unsolved[0])
         interface = _interface(self.symbols, self.settings)
-        previous = None if start is None else start.result
-        solution = OwnSolution(interface.minimise(instance, previous))
+        multipliers = None
+        if start is not None:
+            multipliers = instance.multipliers_from(start.instance, start.result)
+        solution = OwnSolution(instance, interface.minimise(instance, multipliers))
         solution = solution.refined(interface)
         if solution.solved or not solution.ended:
             return solution
         # A wide barrier may lead to shorts, of which no reading depends on its cell.
-        without = ProgramResult.none(instance)
+        without = Multipliers.none(instance)
         second = solution.ended_at(interface.minimise(instance, without)).refined(interface)
         return second if second.solved else solution
 
@@ -164,7 +166,7 @@ class OwnProgram(SymbolsOwner):
         if start is not None:
             if not isinstance(start, OwnSolution):
                 raise InputError(f"start must be a solution of a program, not {in_words(start)}")
-            cells = start.result.cells
+            cells = start.instance.cells_of(start.result)
             shape = (len(evaluations), *self.symbols.shape)
             if cells.size != np.prod(shape) or not np.all(np.isfinite(cells)):
                 raise InputError(
@@ -176,7 +178,7 @@ class OwnProgram(SymbolsOwner):
                 for each, frame in zip(evaluations, frames, strict=True)
             )
         instance = Instance.of(self.symbols, evaluations)
-        return instance if start is None else start.result.start_of(instance)
+        return instance if start is None else instance.begun_at(start.instance, start.result)
 
 
 @guarded

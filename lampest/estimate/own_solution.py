@@ -46,6 +46,7 @@ class OwnSolution(SymbolsOwner):
 
     Attributes
     ----------
+    instance : Instance
     result : ProgramResult
     unsolved : Status or None
         Why nothing was solved.
@@ -60,13 +61,9 @@ class OwnSolution(SymbolsOwner):
     'local optimum verified'
     """
 
+    instance: Instance
     result: ProgramResult
     unsolved: Status | None = None
-
-    @property
-    def instance(self) -> Instance:
-        """The program with its numbers."""
-        return self.result.instance
 
     def __repr__(self) -> str:
         """Return the solution as a table: status, cost, and its unknowns by name."""
@@ -141,7 +138,7 @@ class OwnSolution(SymbolsOwner):
         if not self.ended or self.settled:
             return self
         instance = replace(self.instance, start=self.result.unknown)
-        result = interface.minimise(instance, self.result, fine=True)
+        result = interface.minimise(instance, instance.multipliers_of(self.result), fine=True)
         finer = self.ended_at(result)
         weaker = self.verdict is Status.OPTIMUM and finer.verdict is not Status.OPTIMUM
         nearer = finer.ended and finer.optimality_error < self.optimality_error
@@ -166,7 +163,7 @@ class OwnSolution(SymbolsOwner):
     @property
     def cell_resistance(self) -> Array:
         """Cells, (frames, rows, columns) ohm; NaN where nothing was solved."""
-        return self._if_solved(self.result.cells)
+        return self._if_solved(self.instance.cells_of(self.result))
 
     def __getitem__(self, name: str) -> Array:
         """Return an own unknown, (size,); NaN where nothing was solved.
@@ -452,7 +449,7 @@ class OwnSolution(SymbolsOwner):
     def _directions(self) -> Directions:
         """Directions along the active constraints."""
         _, jacobian, hessian = self._derivatives
-        return Directions.of(self.result, self._equations, jacobian, hessian)
+        return Directions.of(self.instance, self.result, self._equations, jacobian, hessian)
 
     @cached_property
     def _slope(self) -> Array:

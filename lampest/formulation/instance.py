@@ -13,6 +13,85 @@ from lampest.panel.panel import Array
 
 
 @dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Multipliers of a solved program, in its units.
+
+    Attributes
+    ----------
+    of_bounds : array, shape (unknowns,)
+    of_equations : array, shape (constraints,)
+    scale, cost_scale : float
+        Units of resistances in ohm, and of the cost.
+    """
+
+    of_bounds: Array
+    of_equations: Array
+    scale: float
+    cost_scale: float
+
+    @classmethod
+    def none(cls, instance: "Instance") -> "Multipliers":
+        """Return multipliers of zero, with which IPOPT begins with a small barrier."""
+        of_bounds, of_equations = map(np.zeros_like, (instance.start, instance.equations[0]))
+        return cls(of_bounds, of_equations, instance.scale, instance.cost_scale)
+
+    def in_units_of(self, instance: "Instance") -> "Multipliers":
+        """Return the multipliers in the units of an instance.
+
+        Multipliers are ∂f/∂(right-hand side), f = φ/`cost_scale`. Balances have no unit;
+        conductances are in 1/`scale`, voltages in `scale`.
+        """
+        share = self.cost_scale / instance.cost_scale
+        unknown = instance.program.unknown
+        of_bounds = unknown.named(self.of_bounds * share)
+        of_bounds["conductance"] = of_bounds["conductance"] * self.scale / instance.scale
+        return Multipliers(
+            unknown.stacked(of_bounds),
+            self.of_equations * share,
+            instance.scale,
+            instance.cost_scale,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramResult(ReadOnlyArrays):
+    """Result of IPOPT.
+
+    Attributes
+    ----------
+    unknown : array, shape (unknowns,)
+        x, in the program's units.
+    of_bounds : array, shape (unknowns,)
+        Multipliers of the bounds; positive at an upper one.
+    of_equations : array, shape (constraints,)
+    status : str
+        IPOPT's return status.
+    iterations : int
+    corrected : bool
+        Whether IPOPT corrected the inertia in any iteration: there was negative curvature along the
+        equations.
+    history : mapping of str to list of float
+        IPOPT's table of iterations: `obj`, `inf_pr`, `inf_du`, `mu`, `d_norm`, step lengths.
+    """
+
+    unknown: Array
+    of_bounds: Array
+    of_equations: Array
+    status: str
+    iterations: int
+    corrected: bool = False
+    history: Mapping[str, list[float]] = field(default_factory=dict)
+
+    @classmethod
+    def none(cls, instance: "Instance") -> "ProgramResult":
+        """Return the result of an instance that was not solved, NaN."""
+        unknown, equation = (
+            np.full(len(column), np.nan) for column in (instance.start, instance.equations[0])
+        )
+        return cls(unknown, unknown, equation, "", 0)
+
+
+@dataclass(frozen=True, eq=False)
 class Instance(ReadOnlyArrays):
     """A program with its numbers.
 
@@ -84,98 +163,55 @@ class Instance(ReadOnlyArrays):
             split_scale=at.split_scale,
         )
 
-
-@dataclass(frozen=True, eq=False)
-class ProgramResult(ReadOnlyArrays):
-    """Result of IPOPT for an instance, in its units.
-
-    Attributes
-    ----------
-    instance : Instance
-    unknown : array, shape (unknowns,)
-        x, in the program's units.
-    of_bounds : array, shape (unknowns,)
-        Multipliers of the bounds; positive at an upper one.
-    of_equations : array, shape (constraints,)
-    status : str
-        IPOPT's return status.
-    iterations : int
-    corrected : bool
-        Whether IPOPT corrected the inertia in any iteration: there was negative curvature along the
-        equations.
-    history : mapping of str to list of float
-        IPOPT's table of iterations: `obj`, `inf_pr`, `inf_du`, `mu`, `d_norm`, step lengths.
-    """
-
-    instance: Instance
-    unknown: Array
-    of_bounds: Array
-    of_equations: Array
-    status: str
-    iterations: int
-    corrected: bool = False
-    history: Mapping[str, list[float]] = field(default_factory=dict)
-
-    @classmethod
-    def none(cls, instance: Instance) -> "ProgramResult":
-        """Return the result of an instance that was not solved: unknowns NaN, multipliers zero.
-
-        With multipliers of zero IPOPT begins with a small barrier.
-        """
-        of_bounds, of_equations = map(np.zeros_like, (instance.start, instance.equations[0]))
-        return cls(instance, of_bounds + np.nan, of_bounds, of_equations, "", 0)
-
-    @property
-    def cells(self) -> Array:
-        """Cells, (frames, rows, columns) ohm.
+    def cells_of(self, result: ProgramResult) -> Array:
+        """Return the cells of a result, (frames, rows, columns) ohm.
 
         A cell is put on a bound if the bound's multiplier exceeds the distance to it, see
         `on_bounds`.
         """
-        instance = self.instance
+        place = self.program.unknown
         conductance, pull, low, high = (
-            instance.program.unknown.named(column)["conductance"]
-            for column in (self.unknown, self.of_bounds, instance.lower, instance.upper)
+            place.named(column)["conductance"]
+            for column in (result.unknown, result.of_bounds, self.lower, self.upper)
         )
         with np.errstate(divide="ignore"):
-            cells = instance.scale / on_bounds(conductance, pull, low, high)
-        return np.asarray(cells).reshape(instance.shape)
+            return np.asarray(self.scale / on_bounds(conductance, pull, low, high)).reshape(
+                self.shape
+            )
 
-    def duals(self, slope: Array) -> Array:
+    def duals_of(self, result: ProgramResult, slope: Array) -> Array:
         """Return the duals z of absolute losses, (residuals,).
 
         `slope` are the weights of their residuals.
         """
-        instance = self.instance
-        weights = slope * instance.split_scale / instance.cost_scale
-        split = instance.program.equation.named(self.of_equations)["split"]
-        return np.asarray(split / np.maximum(weights, np.finfo(float).tiny))
+        weights = np.maximum(slope * self.split_scale / self.cost_scale, np.finfo(float).tiny)
+        return np.asarray(self.program.equation.named(result.of_equations)["split"] / weights)
 
-    def start_of(self, instance: Instance) -> Instance:
-        """Return an instance that begins at the own unknowns of this result, by name."""
-        own, other = self.instance.program, instance.program
-        column = _by_name(self.unknown, own.unknown, other.unknown, instance.start, other.own)
-        return replace(instance, start=np.clip(column, instance.lower, instance.upper))
-
-    def multipliers_of(self, instance: Instance) -> tuple[Array, Array]:
-        """Return the multipliers in the units of an instance, by name; zero where there are none.
-
-        Multipliers are ∂f/∂(right-hand side), f = φ/`cost_scale`. Balances have no unit;
-        conductances are in 1/`scale`, voltages in `scale`.
-
-        Returns
-        -------
-        of_bounds : array, shape (unknowns,)
-        of_equations : array, shape (constraints,)
-        """
-        own, other = self.instance.program, instance.program
-        share = self.instance.cost_scale / instance.cost_scale
-        of_equations = _by_name(self.of_equations * share, own.equation, other.equation)
-        of_bounds = other.unknown.named(
-            _by_name(self.of_bounds * share, own.unknown, other.unknown)
+    def begun_at(self, other: "Instance", result: ProgramResult) -> "Instance":
+        """Return the instance that begins at the own unknowns of another one's result, by name."""
+        column = _by_name(
+            result.unknown,
+            other.program.unknown,
+            self.program.unknown,
+            self.start,
+            self.program.own,
         )
-        of_bounds["conductance"] = of_bounds["conductance"] * self.instance.scale / instance.scale
-        return other.unknown.stacked(of_bounds), of_equations
+        return replace(self, start=np.clip(column, self.lower, self.upper))
+
+    def multipliers_from(self, other: "Instance", result: ProgramResult) -> Multipliers:
+        """Return the multipliers of another instance's result, by name; zero where it has none."""
+        none = Multipliers.none(self)
+        of_bounds = _by_name(
+            result.of_bounds, other.program.unknown, self.program.unknown, none.of_bounds
+        )
+        of_equations = _by_name(
+            result.of_equations, other.program.equation, self.program.equation, none.of_equations
+        )
+        return Multipliers(of_bounds, of_equations, other.scale, other.cost_scale)
+
+    def multipliers_of(self, result: ProgramResult) -> Multipliers:
+        """Return the multipliers of a result, with the units of the program."""
+        return Multipliers(result.of_bounds, result.of_equations, self.scale, self.cost_scale)
 
 
 def on_bounds(conductance: Array, multiplier: Array, low: Array, high: Array) -> Array:
@@ -191,15 +227,15 @@ def _by_name(
     values: Array,
     own: Blocks,
     other: Blocks,
-    otherwise: Array | float = 0.0,
+    otherwise: Array,
     names: Collection[str] | None = None,
 ) -> Array:
     """Return the blocks of a column as those of another one, by name, all or some of them.
 
-    Blocks that it has not, or of another size, are those of `otherwise`.
+    Blocks that it has not, or of another size, are those of the column `otherwise`.
     """
     named = own.named(values)
-    blocks = other.named(np.broadcast_to(otherwise, sum(other.sizes.values())))
+    blocks = other.named(otherwise)
     for name in blocks if names is None else names:
         if len(named.get(name, ())) == len(blocks[name]):
             blocks[name] = named[name]

@@ -17,7 +17,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from lampest.formulation.instance import Instance, ProgramResult
+from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.program import Program
 from lampest.panel.compiled import CasadiOwner, guarded
 
@@ -96,12 +96,12 @@ class Interface(CasadiOwner):
 
     @guarded
     def minimise(
-        self, instance: Instance, previous: ProgramResult | None = None, *, fine: bool = False
+        self, instance: Instance, multipliers: Multipliers | None = None, *, fine: bool = False
     ) -> ProgramResult:
         """Return IPOPT's result for an instance of the program.
 
-        A warm start has the multipliers of a previous result; a `fine` one goes on to the digits
-        that double precision holds.
+        A warm start has multipliers; a `fine` one goes on to the digits that double precision
+        holds.
 
         Raises
         ------
@@ -113,9 +113,10 @@ class Interface(CasadiOwner):
         given = {"x0": instance.start, "p": instance.parameter}
         given |= {"lbx": instance.lower, "ubx": instance.upper}
         given |= {"lbg": instance.equations[0], "ubg": instance.equations[1]}
-        if previous is not None:
+        if multipliers is not None:
             solver = self._fine if fine else self._warm
-            given["lam_x0"], given["lam_g0"] = previous.multipliers_of(instance)
+            own = multipliers.in_units_of(instance)
+            given |= {"lam_x0": own.of_bounds, "lam_g0": own.of_equations}
         try:
             result = solver(**given)
         except RuntimeError as error:
@@ -131,7 +132,6 @@ class Interface(CasadiOwner):
             np.asarray(result[name]).ravel() for name in ("x", "lam_x", "lam_g")
         )
         return ProgramResult(
-            instance,
             unknown,
             of_bounds,
             of_equations,

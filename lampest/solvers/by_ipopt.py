@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lampest.cost.problem import Data, Evaluation
-from lampest.formulation.instance import Instance, ProgramResult
+from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.ipopt import Interface
 from lampest.formulation.program import Program
 from lampest.panel.compiled import guarded
@@ -55,12 +55,12 @@ class Ending:
 
     Attributes
     ----------
-    result : ProgramResult
+    multipliers : Multipliers
     hessian : Hessian
         Second derivatives of the cost at the end.
     """
 
-    result: ProgramResult
+    multipliers: Multipliers
     hessian: Hessian
 
     def predicted(self, start: Evaluation) -> Evaluation:
@@ -140,19 +140,20 @@ class Ipopt(Solver):
         """
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
-        result, iterations = self._minimised(start)
+        instance, result, iterations = self._minimised(start)
         status = STATUS.get(result.status, Status.BREAKDOWN)
-        outcome = self._outcome(start, result, status, iterations)
+        outcome = self._outcome(start, instance, result, status, iterations)
         for _ in range(MAX_FINE):
             verdict = outcome.certificate
             if verdict is None or outcome.at is None or verdict.settled:
                 break
             # IPOPT goes on, from the lower point beside a saddle if there is one, in units of that
             # point
+            multipliers = instance.multipliers_of(result)
             instance = self._instance(verdict.lower or outcome.at)
-            result = self._built().minimise(instance, result, fine=True)
+            result = self._built().minimise(instance, multipliers, fine=True)
             iterations += result.iterations
-            fine = self._outcome(start, result, status, iterations)
+            fine = self._outcome(start, instance, result, status, iterations)
             if fine.at is None or fine.at.objective > outcome.at.objective:
                 return replace(outcome, iterations=iterations)
             outcome = fine
@@ -165,11 +166,16 @@ class Ipopt(Solver):
         return Instance.of(self._built().program, [at])
 
     def _outcome(
-        self, start: Evaluation, result: ProgramResult, status: Status, iterations: int
+        self,
+        start: Evaluation,
+        instance: Instance,
+        result: ProgramResult,
+        status: Status,
+        iterations: int,
     ) -> Outcome:
         """Return the outcome of a result, with the certificate of an optimum."""
-        cells = result.cells
-        dual = result.duals(self.cost.slope)
+        cells = instance.cells_of(result)
+        dual = instance.duals_of(result, self.cost.slope)
         moved = np.abs(np.log(cells / start.cell_resistance)).max()
         convex = not (result.corrected and moved > FAR)
         outcome = Outcome(cells, dual, status, iterations, convex=convex)
@@ -178,24 +184,25 @@ class Ipopt(Solver):
         at = start.elsewhere(np.clip(cells, start.data.lower, start.data.upper))
         hessian = sharp_hessian(at, dual)
         verdict = certificate(hessian)
-        carried = Ending(result, hessian)
+        carried = Ending(instance.multipliers_of(result), hessian)
         return replace(outcome, at=at, certificate=verdict, carried=carried)
 
-    def _minimised(self, start: Evaluation) -> tuple[ProgramResult, int]:
-        """Return IPOPT's result and the iterations.
+    def _minimised(self, start: Evaluation) -> tuple[Instance, ProgramResult, int]:
+        """Return the instance that IPOPT solved, its result, and the iterations.
 
         The solve is warm where a frame precedes, and cold if that fails.
         """
         iterations = 0
         if self.previous is not None:
             warm = self._instance(self.previous.predicted(start))
-            if len(self.previous.result.unknown) == len(warm.start):
-                result = self._built().minimise(warm, self.previous.result)
+            if len(self.previous.multipliers.of_bounds) == len(warm.start):
+                result = self._built().minimise(warm, self.previous.multipliers)
                 iterations = result.iterations
                 if STATUS.get(result.status) is Status.OPTIMUM:
-                    return result, iterations
-        result = self._built().minimise(self._instance(start))
-        return result, iterations + result.iterations
+                    return warm, result, iterations
+        instance = self._instance(start)
+        result = self._built().minimise(instance)
+        return instance, result, iterations + result.iterations
 
     def _built(self) -> Interface:
         """Return IPOPT's interface to the program, which is built once."""

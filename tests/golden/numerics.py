@@ -340,9 +340,7 @@ def begun_row(cost: str, circuit: str, form: str) -> list[Any]:
         pull[:3] = 1e3, -1e3, 0.0
         equations = rng.standard_normal(interface.program.equation.column.shape[0])
         ended = instance.start * np.exp(0.1 * rng.standard_normal(len(instance.start)))
-        return ProgramResult(
-            instance, ended, pull, equations, "Search_Direction_Becomes_Too_Small", 7
-        )
+        return ProgramResult(ended, pull, equations, "Search_Direction_Becomes_Too_Small", 7)
 
     with patch.object(Interface, "minimise", minimise), patch.object(by_ipopt, "MAX_FINE", 0):
         solver = by_ipopt.Ipopt(at.cost, Settings(), scene.circuit, scene.wiring, form)

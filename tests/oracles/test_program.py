@@ -22,7 +22,7 @@ from lampest.cost.problem import NO_DUAL
 from lampest.estimate.state import Verification, compared
 from lampest.files.levels import Witness
 from lampest.formulation.circuit import Circuit
-from lampest.formulation.instance import Instance, ProgramResult
+from lampest.formulation.instance import Instance, Multipliers, ProgramResult
 from lampest.formulation.ipopt import Interface
 from lampest.panel.readouts.tolerances import simulated
 from lampest.runs.case import COLUMNS
@@ -120,10 +120,10 @@ def test_a_solver_that_returns_its_start_is_not_verified(
     method: str, formulation: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def start_of(
-        interface: Interface, instance: Instance, warm: ProgramResult | None = None, **how: bool
+        interface: Interface, instance: Instance, warm: Multipliers | None = None, **how: bool
     ) -> ProgramResult:
         zeros = np.zeros_like(instance.start), np.zeros_like(instance.equations[0])
-        return ProgramResult(instance, instance.start, *zeros, "Solve_Succeeded", 0)
+        return ProgramResult(instance.start, *zeros, "Solve_Succeeded", 0)
 
     monkeypatch.setattr(Interface, "minimise", start_of)
     estimate = lampest.reconstruct(
