@@ -5,7 +5,8 @@ Steps of the readings are detected by a matched filter on their logarithms (Page
 median of the latest frames against the panel before the load. A lone load leaves by a step back to
 that panel, up to the film's residue. A step whose readings return to the level before it, such as a
 deep breath or an outlier, is cancelled. Breath is judged through steps, because they are changes of
-a load and not its end. Without a load, the unloaded readings follow the frames.
+a load and not its end. A slow change by half of the load counts as a step, too. Without a load, the
+unloaded readings follow the frames, and begin anew where a recognition finds none.
 """
 
 from dataclasses import dataclass, replace
