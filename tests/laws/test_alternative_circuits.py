@@ -1,17 +1,19 @@
 """Laws of the search for alternative circuits: its shortcuts do not change the verdict."""
 
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 import pytest
 
 import lampest
 from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
+from lampest.files.levels import DOUBTFUL_GAIN
 from lampest.inference import cells_fit
 from lampest.inference.cells_fit import LEAST_SQUARES, CellsFit, data_of_cells, fitted
 from lampest.inference.circuits import better_alternative, explanation, parameters
 from lampest.inference.circuits.alternatives import Alternative, alternatives_of
-from lampest.inference.circuits.explanation import broken_law
+from lampest.inference.circuits.explanation import Explanation, broken_law
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.free_tests import free_tests
 from lampest.panel.effects.loose_contact import LooseContact
@@ -106,6 +108,24 @@ def test_alternatives_whose_laws_the_readings_break_are_not_fitted(
     better_alternative.better_alternative(question, question.explanation)
     assert len(tried) > 3
     assert not any(broken_law(alternative, question) for alternative in tried if alternative.kind)
+
+
+@pytest.mark.parametrize("idle_ohm", [inf, 20e3, 3e3, 1.5e3, 500.0])
+def test_values_of_an_open_number_that_are_not_tried_have_less_evidence(idle_ohm: float) -> None:
+    circuit = DrivenReadout(load_ohm=1000.0, drive_ohm=30.0, idle_ohm=idle_ohm, idle_load_ohm=inf)
+    scene = Scene(Panel(6, 6, 10.0), circuit)
+    load = lampest.Rod(centre_mm=(20.0, 20.0), diameter_mm=25, mass_g=900)
+    recording = lampest.simulate(lampest.Simulation(1, 3, scene, frames=3, loads=(load,)))
+    assumed = replace(scene, readout=LoadedColumnsReadout(load_ohm=1000.0, drive_ohm=30.0))
+    question = Prepared(replace(recording, scene=assumed)).question
+    open_numbers = [each for each in alternatives_of(question.specified) if each.number]
+    assert len(open_numbers) == 3
+    for alternative in open_numbers:
+        found = [Explanation.of(each, question) for each in alternative.with_tried_numbers]
+        costs = [inf if each is None else each.linear_evidence for each in found]
+        beyond = np.less(np.minimum.accumulate(costs) + DOUBTFUL_GAIN, costs)
+        tried = int(np.argmax(beyond)) + 1 if beyond.any() else len(costs)
+        assert min(costs[tried:], default=inf) >= min(costs[:tried])
 
 
 def test_fits_of_alternatives_begin_at_the_cells_of_a_neighbour(

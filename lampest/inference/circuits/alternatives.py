@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.inference.circuits.kinds import (
+    HELD_OHM,
     circuits_beside,
     entries_in_words,
     entries_of,
@@ -140,6 +141,12 @@ class Alternative:
             kind=entries_in_words(entries),
             entries={"readout": entries},
         )
+
+    @property
+    def with_tried_numbers(self) -> "Iterator[Alternative]":
+        """The alternative with every tried value of its open number; itself without one."""
+        yield self
+        yield from map(self.with_number, HELD_OHM[1:] if self.number else ())
 
     def ordered(self, values: Array) -> Array:
         """Return recorded readings (…, rows, columns) in the order of this alternative."""

@@ -97,9 +97,11 @@ def _likely_alternatives(
 ) -> list[Explanation]:
     """Return the MAX_CANDIDATES best explanations by alternatives, better ones than the scene's.
 
-    Of each number that alternatives have to estimate there is one more. Alternatives whose
-    inequalities the readings break are not fitted. A resistance in series only makes these
-    inequalities narrower, so that they are tested without one.
+    Of each number that alternatives have to estimate there is one more. Its values are tried from
+    the weakest hold on, while they are no worse than the best by more than DOUBTFUL_GAIN: the
+    evidence has one maximum. Alternatives whose inequalities the readings break are not fitted. A
+    resistance in series only makes these inequalities narrower, so that they are tested without
+    one.
     """
     change = changes_beyond_noise(frames.specified.scene, frames.specified.readings, frames.role)
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
@@ -114,18 +116,24 @@ def _likely_alternatives(
         # Readings that the scene's circuit cannot give may be wrong ones, which some circuit gives
         # with a number that is to be estimated.
         if not (specified is None and alternative.number)
-        and not broken_law(without_series(alternative), frames)
     ]
     explanations = list[Explanation]()
     failed = list[tuple[Alternative, tuple[CellsFit, ...]]]()
     for alternative in alternatives:
-        lawful = alternative.ohm == 0 or not broken_law(alternative, frames)
-        fits = alternative_fits(alternative, frames, specified=specified) if lawful else ()
-        explanation = Explanation.by(fits, alternative, frames, specified=specified)
-        if explanation is None:
-            failed.append((alternative, fits))
-        else:
+        least = np.inf
+        for tried in alternative.with_tried_numbers:
+            if broken_law(without_series(tried), frames):
+                continue
+            lawful = tried.ohm == 0 or not broken_law(tried, frames)
+            fits = alternative_fits(tried, frames, specified=specified) if lawful else ()
+            explanation = Explanation.by(fits, tried, frames, specified=specified)
+            if explanation is None:
+                failed.append((tried, fits))
+                continue
             explanations.append(explanation)
+            if explanation.linear_evidence > least + DOUBTFUL_GAIN:
+                break
+            least = min(least, explanation.linear_evidence)
     # A search for a resistance in series costs several fits: last, so that it ends where it cannot
     # reach the best ones.
     for alternative, fits in failed:

@@ -8,6 +8,7 @@ a name by the entries of a scene that state it.
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, replace
+from functools import cache
 from itertools import product
 from math import inf
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -38,7 +39,7 @@ OF_ONE_KEY = {
 }
 OF_STATES = ("idle_ohm", "idle_volt", "idle_load_ohm")  # that name a driven circuit
 RESISTORS_OF_IDLE = ("idle_ohm", "idle_load_ohm")
-HELD_OHM = (1e3, 3e3, 1e4, 3e4)  # of pull-down resistors, those of microcontrollers included
+HELD_OHM = (3e4, 1e4, 3e3, 1e3)  # of pull-down resistors, those of microcontrollers included
 SIDES: tuple[Side, ...] = ("rows", "columns")
 INPUT_OHM = 1e5  # of a converter behind a divider of its module; those of chips are larger
 PARALLEL = (2, 4)  # multiplexers in parallel: 16 lines on two of eight or four of four channels
@@ -140,7 +141,7 @@ def _held_lines(specified: Any) -> Iterator[DrivenReadout]:
     """Generate circuits whose idle lines switches hold at ground, or resistors near it.
 
     Where switches hold the driven lines, idle sensed ones keep their load, are held at ground, or
-    float. Resistors are at one side, of HELD_OHM at first (`open_number_of`). They do not exchange
+    float. Resistors are at one side, the first of HELD_OHM (`open_number_of`). They do not exchange
     sides, too.
     """
     resistor = _resistor_of(specified)
@@ -148,7 +149,8 @@ def _held_lines(specified: Any) -> Iterator[DrivenReadout]:
         return
     by_switches = product(SIDES, product((0.0,), (None, 0.0, inf)))
     sides = (specified.driven,) if hasattr(specified, "driven") else SIDES
-    by_resistors = product(sides, (*product(HELD_OHM, (None, inf)), *product((inf,), HELD_OHM)))
+    weak = HELD_OHM[0]
+    by_resistors = product(sides, ((weak, None), (weak, inf), (inf, weak)))
     for driven, (idle, idle_load) in (*by_switches, *by_resistors):
         with suppress(ValueError):
             yield DrivenReadout(
@@ -192,6 +194,7 @@ def _shared(specified: Any) -> dict[str, Any]:
     return {name: getattr(specified, name) for name in names if hasattr(specified, name)}
 
 
+@cache
 def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
     """Return the words that each literal setting of a kind may have.
 

@@ -156,7 +156,8 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     """Return a circuit's explanation with the most probable or the given converter memory.
 
     A scene that states a memory keeps it. Other memories are searched for where there is the effect
-    and they may gain by linear theory.
+    and they may gain by linear theory, larger ones while they are no worse than the best by more
+    than DOUBTFUL_GAIN.
     """
     alternative = explanation.alternative
     if alternative.scene.converter_memory is not None or alternative.scene.readout is None:
@@ -164,9 +165,14 @@ def with_converter_memory(explanation: Explanation, frames: ComparedFrames) -> E
     if "converter_memory" not in SIZED or not may_gain_by_memory(explanation, frames):
         return explanation
     search = _ParameterSearch(alternative.with_memory, frames, explanation)
-    coarse = min(MEMORIES, key=search.score)
+    scores = {0.0: explanation.linear_evidence}
+    for memory in MEMORIES:
+        scores[memory] = search.score(memory)
+        if scores[memory] > min(scores.values()) + DOUBTFUL_GAIN:
+            break
     if search.best is explanation:
         return explanation
+    coarse = min(scores, key=lambda memory: scores[memory])
     golden_section(search.score, coarse / 2, 2 * coarse, 2 * MEMORY_ACCURACY * coarse)
     fraction = search.best.alternative.scene.known_memory or 0.0
     return search.best.final if MIN_MEMORY < fraction < MAX_MEMORY else explanation
