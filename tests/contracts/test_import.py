@@ -552,6 +552,59 @@ codes(
 ROW_LAYOUT = [f"x,{line},{n}" for n, row, line in NUMBERED]
 codes("skipped columns beside rows", ROW_LAYOUT, "one row a line", layout="-,c0,c1,c2,c3,c4,-")
 
+# Clocks: the header, the field of each frame, its times in s, and the date and time at 0 s.
+
+NOON = "2025-01-31T12:00:00"
+for header, fields, times, start in (
+    ("t (min)", (1, 2, 4), (60, 120, 240), None),
+    ("time", (10, 30, 50), (0.01, 0.03, 0.05), None),
+    ("time", (10_000, 30_000, 50_000), (0.01, 0.03, 0.05), None),
+    ("millis", (4294967000, 4294967200, 104), (4294967, 4294967.2, 4294967.4), None),
+    ("micros", (4294900000, 32704, 132704), (4294.9, 4295, 4295.1), None),
+    ("time", [1738324800 + n / 2 for n in range(3)], (0, 0.5, 1), f"{NOON}Z"),
+    ("time", [1738324800000 + 250 * n for n in range(3)], (0, 0.25, 0.5), f"{NOON}Z"),
+    ("time", ("23:59:58", "23:59:59.5", "0:00:03"), (0, 1.5, 5), None),
+    ("time", ("11:59:58 AM", "12:00:01 PM", "1:00:01 pm"), (0, 3, 3603), None),
+    (
+        "time",
+        ("31.01.2025 12:00:00", "31.01.2025 12:00:02", "1.02.2025 00:00"),
+        (0, 2, 43200),
+        NOON,
+    ),
+    ("time", ("1/31/2025 12:00", "1/31/2025 12:01", "2/1/2025 12:00"), (0, 60, 86400), NOON),
+    ("time", (f"{NOON}Z", "2025-01-31T14:00:01+01:00"), (0, 3601), f"{NOON}Z"),
+    ("date,time", ("2025-01-31,12:00:00.5", "2025-01-31,12:00:01.5"), (0, 1), f"{NOON}.5"),
+    ("time", (*range(9), "4x", *range(10, 14)), range(14), None),
+):
+    text = [f"{header},{','.join('a' * 15)}"]
+    text += [f"{field},{line}" for field, line in zip(fields, lines(WIDE) * 4, strict=False)]
+    expected = FRAMES[np.arange(len(fields)) % 4]
+    accept(f"{header} of {fields[0]}", text, expected=expected, times=times, start=start)
+for fields, sentence, options in (
+    (("1/2/2025 12:00", "1/3/2025 12:00"), "may be day/month/year or month/day/year", {}),
+    (("2025-01-01", "soon"), "3:1: 'soon' is no time", {}),
+    ((3, 2, 1), "3:1: times must be finite and grow; `period` sets them instead", {}),
+    (("12:00:00", "12:00:01"), "is no number, so that it has no time unit ms", {"time_unit": "ms"}),
+):
+    text = [f"time,{','.join('a' * 15)}"]
+    text += [f"{field},{line}" for field, line in zip(fields, lines(WIDE), strict=False)]
+    refuse(f"a time of {fields[0]}", text, sentence, **options)
+refuse("no time", lines(WIDE), "holds no times that could be in ms", time_unit="ms")
+NAMED_ROWS = ["row,r0,r1,r2,r3,r4", *(f"{row},{line}" for _, row, line in NUMBERED)]
+refuse("columns called as rows", NAMED_ROWS, "the header's 'r0' names a row; `transpose` swaps")
+refuse("cells called alike", [names("r0c{c}"), *lines(WIDE)], "'r0c0' and 'r0c0' are the same cell")
+refuse("an open quotation mark", ['"300,310', *lines(WIDE)], "a quotation mark that is not closed")
+refuse("a short layout", lines(WIDE), "15 columns, but `layout` names 3", layout="column,frame,ohm")
+OPEN = np.maximum(2 * CODES - 1350, 0)
+codes("codes of open cells", [*lines(OPEN), ""], "most are 0", expected=OPEN * 3.3 / 4096)
+STAMPS = [f"2025-01-31 12:00:0{n};{line}" for n, line in enumerate(lines(FRAMES, ";"))]
+accept("stamps without a header", STAMPS, times=FOUR, start=NOON)
+codes("volts", [names("r{r}c{c} V"), *lines(VOLT_OF_CODES.reshape(4, -1))])
+OWN_TIMES = [
+    f"{0.5 * f + r / 9 + c / 99},{r},{c},{FRAMES[f, r, c]}" for f, r, c in np.ndindex(4, 3, 5)
+]
+accept("a time for every value", ["t,r,c,ohm", *OWN_TIMES], times=FOUR / 2)
+
 # Headers.
 
 NAMED = names("r{r}c{c}").split(",")

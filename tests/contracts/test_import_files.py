@@ -200,6 +200,7 @@ FILES = {
         },
         times=np.arange(4) / 4,
     ),
+    "a chosen array": archive(np.savez, arrays={"a": 2 * FRAMES, "b": FRAMES}, variable="b"),
     "open cells, which an unloaded film has": array(
         mostly(0.0), scene=amplifiers(), unit="volt", expected=mostly(0.0)
     ),
@@ -645,6 +646,8 @@ REFUSED = [
     book({"Data": sheet_of(FRAMES, {(6, 7): "abc"})}, "m.xlsx: Data!H7: 'abc' is no number"),
     book({"Data": [[1.0]] * 15 + [[1.0, 2.0, 3.0]] * 3}, "Data!16: 3 fields, where row 1 has 1"),
     book(TWO_SHEETS, "no sheet 'C'; there are A, B", variable="C"),
+    book(TWO_SHEETS, "the sheets A, B would all fit; say which with `variable`"),
+    matrices("no numeric array 'c'; there are R", arrays={"R": FRAMES_LAST}, variable="c"),
 ]
 
 

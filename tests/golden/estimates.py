@@ -1,4 +1,4 @@
-"""Rows of recordings, imports, estimates, calibration and recognition."""
+"""Rows of recordings, estimates and calibration."""
 
 import tempfile
 from collections.abc import Callable
@@ -47,7 +47,6 @@ from lampest.recording.readings import (
     strongest_frame,
 )
 from lampest.recording.simulation.measure import OPEN_OHM
-from lampest.report.info import understood_lines
 from lampest.report.reconstruction import Reconstruction
 from lampest.runs.filling import frame_noise_of
 from lampest.solvers.projected_lbfgs import InverseHessians
@@ -159,85 +158,6 @@ def readings_row() -> dict[str, Any]:
     }
 
 
-def ohms(separator: str, decimal: str = ".", count: int = 3) -> list[str]:
-    """Lines of 2 × 3 readings in ohm."""
-    values = np.random.default_rng(7).uniform(250, 600, (count, 6)).round(3)
-    return [separator.join(str(value).replace(".", decimal) for value in line) for line in values]
-
-
-FOREIGN = {  # name → (text, how); a panel of 2 × 3 cells
-    "commas": ("\n".join(ohms(",")), {}),
-    "decimal commas": (
-        "3,050;3,100;2,900;3,000;3,250;3,125\n3,150;3,200;2,950;3,010;3,260;3,130\n",
-        {"unit": "kohm"},
-    ),
-    "stamped": (
-        "\n".join(f"2025-01-31 12:00:0{n};{line}" for n, line in enumerate(ohms(";", ","))),
-        {"baseline_frames": 1},
-    ),
-    "titled": (
-        "\n".join(
-            f"Frame {n}, t = {250 * n} ms\n" + line.replace(" ", "\n", 3).replace("\n", ",", 2)
-            for n, line in enumerate(ohms(" "))
-        ),
-        {},
-    ),
-    "blocks": (
-        "boot...\n"
-        + "\n\n".join(
-            line.replace(";", ",", 2).replace(";", "\n", 1).replace(";", ",") for line in ohms(";")
-        ),
-        {},
-    ),
-    "codes": (
-        "millis,"
-        + ",".join(f"adc_{j}_{k}" for j in (1, 2) for k in (1, 2, 3))
-        + "\n7,400,410,420,430,440,450\n107,401,411,,431,441,451\n",
-        {"scene": lp.Scene(lp.Panel(2, 3), lp.TwoPointReadout())},
-    ),
-    "values": (
-        "row,column,R [ohm],frame\n"
-        + "\n".join(
-            f"{j},{k},{300 + 9 * j + k + f},{f}" for f in (0, 1) for j in (0, 1) for k in (0, 1, 2)
-        ),
-        {"transpose": False},
-    ),
-    "words": (
-        "time,a,b,c,d,e,f\n0,1000,OL,3,4,5,6\n1,1000,-,3,4,5,6\n",
-        {"unit": "ohm", "missing": "mark"},
-    ),
-    "skipped": (
-        "0,1000,OL,3,4,5,6\n1,1000,2,3,4,5,6\n2,1001,2,3,4,5,6\n",
-        {"unit": "ohm", "missing": "skip-frame"},
-    ),
-    "named": ("r1c2,r0c0,r0c1,r0c2,r1c0,r1c1\n" + "\n".join(ohms(",")), {"period": 0.5}),
-    "transposed": ("\n".join(ohms(" ")), {"transpose": True, "unit": "ohm"}),
-    "volt": (
-        "\n".join(",".join(f"{1 + 0.1 * (k + n):.3f}" for k in range(6)) for n in range(3)),
-        {"scene": lp.Scene(lp.Panel(2, 3), lp.LoadedColumnsReadout()), "unit": "volt"},
-    ),
-    "guessed": (
-        "\n".join(f"{103 * n + n % 2},{line}" for n, line in enumerate(ohms(",", count=8))),
-        {"time_unit": None},
-    ),
-}
-
-
-def import_row(text: str, options: dict[str, Any]) -> dict[str, Any]:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "m.csv"
-        path.write_text(text, encoding="utf-8")
-        recording, notes = lp.import_file(path, 2, 3, **options)
-    understood = [line.replace(folder, "") for line in understood_lines(recording, notes)]
-    return {
-        "recorded": recording.recorded,
-        "time": recording.time,
-        "role": recording.role,
-        "start": recording.start_time,
-        "lines": understood,
-    }
-
-
 def killed_row() -> list[Any]:
     """Recordings of a killed recorder, and their date and time at 0 s by clocks of the host."""
     with tempfile.TemporaryDirectory() as folder:
@@ -280,7 +200,6 @@ def of_recording() -> Rows:
             name: lambda scene=scene: recording_row(simulated(scene=scene))
             for name, scene in kinds.items()
         }
-        | {f"import {name}": partial(import_row, *given) for name, given in FOREIGN.items()}
         | {
             "of a film": lambda: recording_row(
                 simulated(scene=film, film=replace(FILM, hysteresis=0.3), water=lp.Water(70.0))

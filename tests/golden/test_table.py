@@ -93,7 +93,6 @@ SLOW_ROWS = {  # rows of a second or more on a busy machine
     "estimate smoother of modules",
     "estimate smoother of shared errors",
     "estimate streams together",
-    "inputs units",
     "posterior errors absolute whole True",
     "posterior errors huber whole True",
     "posterior errors penalty whole True",
