@@ -32,8 +32,6 @@ FRAMES = 100
 COMMAND = (sys.executable, "-c", "from lampest.cli import main; main()")
 SMALL_DISK = "2000k"
 FILLED_UP_TO = 16_384  # bytes that remain: for a part of the rewriting, not for all of it
-# bytes within those reserved, which a file system that copies what is written may refuse
-ROOM_OF_SOME = 60_000
 ROOM = 412_000  # bytes: a journal of 3 × 4 cells reserves 366,000, its first frame takes 45,000
 
 
@@ -147,18 +145,6 @@ def test_a_write_that_fails_once_is_repeated(
     monkeypatch.setattr(os, "pwrite", failing)
     assert recorded(tmp_path / "r.h5").frames == FRAMES
     check_frames(tmp_path / "r.h5", FRAMES)
-
-
-@pytest.mark.slow
-def test_a_disk_that_stays_full_ends_the_recording(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(journal, "PATIENCE_SECONDS", 0.3)
-    counted: list[Progress] = []
-    full_disk(monkeypatch, lambda: len(counted) > 9, ROOM_OF_SOME)
-    with pytest.raises(InputError, match=r"no space: [\d,]+ frames? kept until"):
-        recorded(tmp_path / "r.h5", frames=100_000, on_progress=counted.append)
-    check_frames(tmp_path / "r.h5", counted[-1].frames)
 
 
 def test_a_disk_that_is_full_from_the_beginning_gets_no_file(

@@ -119,23 +119,6 @@ def test_the_lines_of_the_example_match_the_panel(tmp_path: Path) -> None:
     assert np.unravel_index(np.argmin(recording.recorded[-1]), (10, 10)) == (2, 7)
 
 
-def test_the_library_lists_its_headers() -> None:
-    folder = Path(__file__).parents[3] / "firmware" / "lampest_board"
-    lines = (folder / "library.properties").read_text(encoding="utf-8").splitlines()
-    properties = dict(line.split("=", 1) for line in lines)
-    assert {
-        "name",
-        "version",
-        "author",
-        "maintainer",
-        "sentence",
-        "paragraph",
-        "category",
-        "url",
-    } <= set(properties)
-    assert all((folder / header).is_file() for header in properties["includes"].split(","))
-
-
 # Both wirings.
 
 WIRINGS = {"two_point": scene, "loaded_columns": loaded_scene}

@@ -366,7 +366,7 @@ def test_constants_that_are_not_numbers_are_refused(field, tmp_path):
     assert library.host_begin(2, 8, ctypes.c_float(0.05)) == BAD_CONSTANTS
 
 
-def built(folder, *files, flags=()):
+def built(folder, *files):
     """Return the shared library of C files in a folder and the library."""
     words = [
         "gcc",
@@ -377,7 +377,6 @@ def built(folder, *files, flags=()):
         "-Werror",
         "-shared",
         "-fPIC",
-        *flags,
         f"-I{folder}",
     ]
     parts = [str(folder / name) for name in files] + [
@@ -544,64 +543,6 @@ def test_wrong_constants_never_give_nan_overruns_or_more_work(circuit, tmp_path)
     )
     (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
     assert sanitized(tmp_path, CONSTANTS_FUZZ).returncode == 0
-
-
-KEYS = """
-#include "keys.h"
-extern lampest_panel host_panel;
-int keys_host(const uint32_t *sums, float *change, uint8_t *pressed) {
-    return keys_scan(&host_panel, sums, change, pressed, 0).settled;
-}
-"""
-
-
-def chord_of(rng, shape):
-    """Return three or four keys, mostly corners of a rectangle."""
-    rows, columns = (rng.choice(size, 2, replace=False) for size in shape)
-    corners = [(row, column) for row in rows for column in columns]
-    anywhere = list(
-        zip(*np.unravel_index(rng.choice(np.prod(shape), 4, replace=False), shape), strict=True)
-    )
-    keys = corners if rng.random() < 0.7 else anywhere
-    return [keys[number] for number in rng.permutation(4)[: rng.integers(3, 5)]]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("circuit", ["two_point", "grounded_one"])
-@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
-def test_every_press_of_a_chord_is_detected_without_ghosts(circuit, count, tmp_path):
-    rng = np.random.default_rng(count)
-    shape = (8, 26)
-    scene = scene_of(circuit, *shape)
-    resting = 30_000.0 * np.exp(0.1 * rng.standard_normal(shape))
-    terms = [NOISY, lampest.LogRatio(loss=lampest.Squared(), weight=1e-4)]
-    training = sums_of(scene, np.array([resting] * 3), 0)
-    _, case = solved_case(scene, terms, sums=training, unloaded=2, error_bars=False)
-    (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
-    (tmp_path / "host.c").write_text(HOST)
-    (tmp_path / "keys.c").write_text(KEYS)
-    library = built(
-        tmp_path, "host.c", "keys.c", flags=(f"-I{library_folder() / 'examples' / 'keyboard'}",)
-    )
-    assert library.host_begin(3, 12, ctypes.c_float(0.05)) == FINE
-    change = np.zeros(shape, np.float32)
-    pressed = np.zeros(shape, np.uint8)
-
-    def at(array):
-        return array.ctypes.data_as(ctypes.c_void_p)
-
-    for trial in range(count):
-        keys = chord_of(rng, shape)
-        cells = resting.copy()
-        for key in keys:
-            cells[key] = rng.uniform(1500, 4000)
-        for expected, panel in (
-            ({tuple(map(int, key)) for key in keys}, [cells] * 3),
-            (set(), [resting] * 2),
-        ):
-            for sums in sums_of(scene, np.array(panel), trial):
-                assert library.keys_host(at(sums), at(change), at(pressed))
-            assert {tuple(map(int, key)) for key in np.argwhere(pressed)} == expected
 
 
 @pytest.mark.slow
