@@ -1,12 +1,11 @@
 """Rows of studies."""
 
 import csv
-import re
 import tempfile
 from collections.abc import Callable
 from contextlib import chdir
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from itertools import cycle, product
 from math import nan
 from pathlib import Path
@@ -15,24 +14,12 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from golden.circuits import Rows, cells_of
+from golden.circuits import Rows
 from golden.estimates import simulated
 from golden.numerics import point
 from golden.outputs import command, drawn_row, refusal, stored
-from support import invented_case
 
 import lampest as lp
-from docs.studies import paper_figures as paper
-from docs.studies.weight_curves import (
-    Curves,
-    WeightSubject,
-    l_curve,
-    morozov,
-    solve_at,
-    trace,
-    tune,
-)
-from docs.studies.weights import why_not
 from lampest.apps.studies import bench, common, extreme_scenes, extremes, tradeoff
 from lampest.apps.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
 from lampest.apps.studies.certified import (
@@ -44,7 +31,6 @@ from lampest.apps.studies.certified import (
 )
 from lampest.apps.studies.common import StudyMethod
 from lampest.apps.studies.study import Study, read_settings
-from lampest.estimate.estimator import Estimator
 from lampest.runs import config
 from lampest.solvers.solution import Status
 
@@ -396,19 +382,6 @@ def extremes_row(case: str) -> dict[str, Any]:
     }
 
 
-@cache
-def weight_subject() -> Any:
-    estimator = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)), "reduced")
-    return WeightSubject.of(
-        SimpleNamespace(recording="r", name="e", estimator=estimator), simulated()
-    )
-
-
-@cache
-def tuned_curves() -> Curves:
-    return tune(weight_subject())
-
-
 SIDES = ((10, 9), (11, 3), (3, 16), (16, 16), (17, 3), (4, 17), (1000, 1000), (1001, 1))
 NO_GRID = extreme_scenes.Grid(())
 REFUSED: tuple[tuple[Callable[..., Any], tuple[Any, ...], tuple[dict[str, Any], ...]], ...] = (
@@ -533,87 +506,15 @@ def digits_row() -> dict[str, Any]:
     }
 
 
-def weights_study_row() -> dict[str, Any]:
-    subject = weight_subject()
-    curves = tuned_curves()
-    points = [solve_at(subject, 10.0**n, None) for n in np.linspace(-4, 5, 10)]
-    known = [replace(point, error=abs(n - 2.0)) for n, point in enumerate(points[2:8])]
-    parts = (tuple(points[2:6]), tuple(known), tuple(known[2:]), (replace(known[0], error=np.nan),))
-    # misfit 20 + λ and penalty 1/λ + η₀ make an L whose corner depends on η₀
-    bent = [
-        [
-            replace(points[0], weight=w, misfit=20 + w, penalty=least + 1 / w)
-            for w in np.geomspace(1e-3, 1e3, 13)
-        ]
-        for least in (0.3, 3.0)
-    ]
-    estimator = replace(subject.case.estimator, bounds=lp.Bounds(upper=3000.0))
-    case = SimpleNamespace(recording="r", name="e", estimator=estimator)
-    return {
-        "bounded": solve_at(WeightSubject.of(case, simulated()), 1.0, None),
-        "points": points,
-        "morozov": morozov(points, subject.count),
-        "corner": [l_curve(each) for each in (points, *bent)],
-        "units": subject.units,
-        "count": subject.count,
-        "tuned": [
-            (each.rule, each.weight, each.error, each.excess, each.in_use)
-            for each in curves.choices
-        ],
-        "finer": [
-            [point.weight for point in Curves(subject, each).finer().points] for each in parts
-        ],
-        "why": why_not(subject.case.estimator, 9),
-        "traced": [trace(subject, [mark]).values("weight")[[0, 1, -1]] for mark in (1e-9, 1e9)],
-    }
-
-
-def paper_row() -> dict[str, Any]:
-    """Comparison of two mouths with the paper, with estimates that no solver made."""
-    published = paper.read_published(paper.FILE)
-    mouths = [replace(simulated(), name=name) for name in ("large", "small")]
-    shape = mouths[0].recorded[4:].shape
-    methods = {row.method for row in published.ranges} - {paper.MEASURED}
-    cases = [
-        invented_case(method, mouth.name, shape, joint_start="d" in method)
-        for method in sorted(methods)
-        for mouth in mouths
-    ]
-    loads = {load.letter: paper.load_of(mouths[0]) for load in published.loads}
-    optima = paper.optima(lp.Results(tuple(cases)), mouths)
-    sides = [
-        paper.shown(paper.Side(f"{word} scenes", word, mouths, loads, *optima))
-        for word in ("clean", "panel")
-    ]
-    numbers = [*paper.published_beside(sides, published)]
-    names = tuple(side.name for side in sides)
-    tiles = paper.tiles_of(sides[0], published)
-    known = paper.Paper(published, names, numbers, {})
-    page = paper.page_of(known)
-    return {
-        "response": drawn_row(paper.response_figure(published)),
-        "bending": drawn_row(paper.bending_figure(published)),
-        "covered": paper.covered(cells_of((4, 5)) - 3000),
-        "numbers": [vars(row) for row in paper.rows(known)],
-        "counts": paper.counts(numbers, names),
-        "map": drawn_row(paper.tiles_figure(tiles["fig9"], mouths[0].scene.panel, "ours")),
-        "sheet": paper.sheet(numbers[:30], names),
-        "tiles": tiles,
-        "page": re.findall(r"<p>(?:Of|Numbers)[^<]*|<caption>[^<]*|<td>[^<]*time", page),
-    }
-
-
 def of_studies() -> Rows:
     rows: Rows = {f"extremes {case}": partial(extremes_row, case) for case in extreme_scenes.CASES}
     rows |= {f"files of {name}": partial(study_files_row, name) for name in MEASURED}
     rows |= {
         "bench": bench_row,
         "tradeoff": tradeoff_row,
-        "weights": weights_study_row,
         "settings": settings_row,
     }
     return rows | {
-        "paper": paper_row,
         "runs": runs_row,
         "budgets": budgeted_row,
         "digits": digits_row,

@@ -122,13 +122,10 @@ SLOW_ROWS = {  # rows of a second or more on a busy machine
     "runs refused commands",
     "solvers minima",
     "studies budgets",
-    "studies paper",
     "studies tradeoff",
-    "studies weights",
     "whole files",
     "whole parts",
     "whole report",
-    "whole weights figure",
 }
 ROWS = [
     pytest.param(

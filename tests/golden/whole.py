@@ -20,15 +20,12 @@ from golden.circuits import PANEL, Rows, cells_of
 from golden.content import of_kind
 from golden.estimates import case_row, simulated
 from golden.numerics import COSTS, TINY, certificate_row, point, solver_row
-from golden.outputs import command, drawn_row, invented
+from golden.outputs import command, invented
 from golden.runs import reason
-from golden.studies import tuned_curves
 from support import invented_case
 from typer.main import get_command
 
 import lampest as lp
-from docs.studies.weights import why_not
-from docs.studies.weights_figure import weights_figure
 from lampest.apps.page import compared, page
 from lampest.cli import program
 from lampest.cost import problem
@@ -326,26 +323,6 @@ def report_row() -> dict[str, Any]:
     return {"pages": pages, "drawn": drawn}
 
 
-def weights_figure_row() -> dict[str, Any]:
-    known = tuned_curves()
-    blind = replace(
-        known,
-        points=tuple(replace(each, error=np.nan, risk=np.nan) for each in known.points),
-        choices=tuple(replace(choice, error=None, excess=None) for choice in known.choices[:2]),
-    )
-    subjects = (
-        (lp.Misfit(),),
-        (lp.Misfit(), lp.LogGradient(), lp.Gradient()),
-        COSTS["absolute"],
-        COSTS["student"],
-        COSTS["penalty"],
-    )
-    return {
-        "figures": [drawn_row(weights_figure(curves)) for curves in (known, blind)],
-        "why": [why_not(Estimator(terms), count) for terms in subjects for count in (20, 2000)],
-    }
-
-
 # Simulation files
 
 SCENE = "seed: 4\nbaseline_frames: 1\nframes: 1\nscene: {panel: {rows: 2, columns: 3}}\n"
@@ -578,6 +555,5 @@ def of_whole() -> Rows:
             "columns": columns_row,
             "chunks": chunks_row,
             "command line": lambda: command_line_row(get_command(program.app)),
-            "weights figure": weights_figure_row,
         }
     )
