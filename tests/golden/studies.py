@@ -242,55 +242,6 @@ def tradeoff_row() -> dict[str, Any]:
 IN_NO_TIME = {"inverse_time": lambda matrix: 1e-6}
 
 
-def runs_row() -> dict[str, Any]:
-    """Tiny runs of the studies of solvers and of formulations, without their times."""
-    settings = {"LSM": METHODS["LSM"]}
-    file = BenchFile(schema=1, sizes=(3,), frames=2, repeats=1, estimators=settings)
-    steps: list[tuple[int, int]] = []
-    alone = bench.BenchLimits(nodal=0)
-    progress = list[tuple[int, int, str]]()
-    hasty = replace(
-        file, sizes=(3, 40), recordings=2, frames=3, budget_s=1e-3, limits=alone, memory=(3,)
-    )
-    with patch.multiple(bench, **IN_NO_TIME):
-        late = run_bench(hasty, lambda *about: progress.append(about))
-    limited = replace(
-        file, sizes=(3, (3, 4)), frames=4, memory=(3,), limits=bench.BenchLimits(nodal=3)
-    )
-    peaks = {"reduced": 7.0, "nodal": 9.0}
-    faked = {"peak_memory": lambda _, estimator: peaks[estimator.method.kind]} | IN_NO_TIME
-    with patch.multiple(bench, **faked):
-        memory = {
-            str((each.shape, each.solver, each.memory_mb))
-            for each in run_bench(limited, lambda *_: None).frames
-        }
-    with patch.multiple(bench, **IN_NO_TIME):
-        measured = run_bench(file, lambda done, total, *_: steps.append((done, total)))
-    plan = tradeoff.Plan(
-        tradeoff.TradeoffFile(1, ("r.h5",), frames=2, repeats=1, patience_s=1e3), [simulated()]
-    )
-    plan = plan._replace(
-        settings=replace(
-            plan.settings,
-            formulations=("naive", "reduced"),
-            estimators={"LSM": StudyMethod(settings["LSM"].terms)},
-        )
-    )
-    names = ("frame", "solver", "kind", "objective", "gap", "solved", "cell_error", "changed_error")
-    frames = [*measured.frames, *tradeoff.run_tradeoff(plan)]
-    return {
-        "frames": [
-            {name: getattr(each, name) for name in names if hasattr(each, name)} for each in frames
-        ],
-        "steps": steps,
-        "left": [measured.left_out, bool(late.left_out)],
-        "told": progress,
-        "memory": memory,
-        "late": [(each.shape, each.recording, each.frame) for each in late.frames],
-        "remarks": bench.bench_remarks(late),
-    }
-
-
 def budgeted_row() -> list[Any]:
     """Benchmarks within three budgets, on a clock that solves advance.
 
@@ -515,7 +466,6 @@ def of_studies() -> Rows:
         "settings": settings_row,
     }
     return rows | {
-        "runs": runs_row,
         "budgets": budgeted_row,
         "digits": digits_row,
     }
