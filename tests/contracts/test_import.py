@@ -68,17 +68,6 @@ MONITOR = (
     "code, guessed",
 )
 codes("the Arduino's monitor", ARDUINO, *MONITOR, times=FOUR, rows=None, columns=None)
-LABVIEW = ["LabVIEW Measurement\t", "Channels\t15", "***End_of_Header***\t"]
-LABVIEW += [
-    "X_Value\t" + "\t".join(["Channel", *(f"Channel_{n}" for n in range(1, 15))]) + "\tComment"
-]
-LABVIEW += [*(f"{n / 2:.6f}\t{line}\t" for n, line in enumerate(lines(CODES, "\t"))), ""]
-codes(
-    "empty columns beside the cells",
-    "\r\n".join(LABVIEW),
-    "empty columns left out: Comment",
-    times=FOUR / 2,
-)
 
 NAMES_OF_CELLS = names("r{r}c{c}").split(",")
 NUMBERED = [
@@ -87,12 +76,6 @@ NUMBERED = [
     for row, line in enumerate(lines(frame))
 ]
 BLOCKS = {
-    "blank lines": "boot...\n" + blocks("\t", "\n\n"),
-    "windows lines": "\r\n\r\n".join("\r\n".join(lines(frame, ", ")) + ",\r\n" for frame in CODES),
-    "marks": blocks(" ", "\n---\n") + "\n---\n",
-    "titles": "\n".join(
-        f"Frame {number}:\n" + "\n".join(lines(frame, ";")) for number, frame in enumerate(CODES)
-    ),
     "numbers": "\n".join(
         f"{number}\n" + "\n".join(lines(frame, " ")) for number, frame in enumerate(CODES)
     ),
@@ -100,12 +83,7 @@ BLOCKS = {
     "every line alone": "\n\n".join("\n\n".join(lines(frame)) for frame in CODES),
     "python lists": "\n".join(f"[{line}]" for frame in CODES for line in lines(frame, ", ")),
     "titles of a chip": "ets Jun  8 2016 00:22:57\n\nentry 0x400805f0\n" + blocks(" ", "\n\n"),
-    "frame and row": "\n".join(
-        ["frame,row,c0,c1,c2,c3,c4", *(f"{n},{row},{line}" for n, row, line in NUMBERED)]
-    ),
 }
-for name, sign in (("ROW{}={}", ","), ("R{}: {}", ","), ("row {} = {}", ","), ("R{}:  {}", " ")):
-    BLOCKS[name] = "\n".join(name.format(row, line.replace(",", sign)) for _, row, line in NUMBERED)
 for name, text in BLOCKS.items():
     codes(name, text, "one row a line, 3 lines a frame")
 for title, times, start in (
@@ -118,22 +96,6 @@ for title, times, start in (
         for n, frame in enumerate(CODES)
     ]
     codes(title, titled, times=times, start=start)
-# The terminal was opened between two rows; an unknown row was lost; the terminal was closed.
-BROKEN = [
-    *lines(CODES[0])[1:],
-    "",
-    *lines(CODES[1]),
-    "",
-    *lines(CODES[2])[:2],
-    "",
-    *lines(CODES[3])[:2],
-]
-SENTENCES = (
-    "the first frame (line 1) is cut and left out",
-    "has 2 of 3 lines and is missing",
-    "the last frame (line 11) is cut and left out",
-)
-codes("blocks that are cut", BROKEN, *SENTENCES, expected=with_nan(VOLT_OF_CODES[1:3], (1,)))
 LONG = blocks(",", "\n\n", np.concatenate([CODES, CODES[:, :1]], axis=1))
 refuse("long blocks", LONG, "m.csv:1: a block of 4 lines, where the panel has 3 rows", scene=LOADED)
 
@@ -142,7 +104,6 @@ STEPS = "as such they lie on the converter's steps"
 accept("means of codes", lines(MEANS), STEPS, expected=1024e3 / MEANS - 1000, scene=DIVIDER)
 EIGHT = replace(LOADED, readout=replace(LOADED.readout, readings=8))
 OF_EIGHT = CODES + CODES % 8 / 8 + 2000
-RAISED = (OF_EIGHT + 0.5) * 3.3 / 4096
 for name, written in (
     ("Serial.print", [[f"{value:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
     (
@@ -200,10 +161,7 @@ accept(
     scene=LOADED,
     expected=VOLT_OF_CODES,
 )
-WHOLE = (
-    "may be ohm or code, the whole numbers of a converter, which need a scene; say which with "
-    "`unit='ohm'`"
-)
+WHOLE = "may be ohm or code, the whole numbers of a converter, which need a scene; say which with"
 refuse("whole numbers without a scene", lines(CODES), WHOLE)
 refuse("resistances of either size", lines(FRAMES / 10), "may be ohm or kohm; say which with")
 accept(
@@ -324,22 +282,6 @@ for between in ("\n", "\n\n"):
         "\t" + before_each,
         "a separator before the first value of every line",
     )
-codes(
-    "a tab before each value of a frame",
-    ["\t" + line for line in lines(CODES.reshape(4, -1), "\t")],
-    "a separator before the first value of every line",
-)
-WRAPPED = (np.arange(4) * 53_120 + 4_294_900_000) % 2**32
-for before, after in (("F,", ""), ("", ",7"), ("F,", ",7")):
-    codes(
-        f"a counter that wraps, {before!r} before it and {after!r} at the end",
-        [
-            f"{before}{us},{line}{after}"
-            for us, line in zip(WRAPPED, lines(CODES.reshape(4, -1)), strict=True)
-        ],
-        "the counter began again once",
-        times=np.arange(4) * 0.05312 + WRAPPED[0] / 1e6,
-    )
 ALIGNED = [
     "\t".join(f"{value}\t" if int(value) < 500 else value for value in line.split(","))
     for line in lines(CODES)
@@ -359,13 +301,6 @@ codes(
     LOST_ROWS,
     "the first frame (line 1) is cut and left out",
     expected=with_nan(VOLT_OF_CODES[1:], (0, 0)),
-)
-STAMPED = [f"{0.25 * n:.2f},{row},{line}" for n, row, line in NUMBERED]
-codes(
-    "time and row before the values",
-    STAMPED,
-    "no header: field 1 time, field 2 row",
-    times=FOUR / 4,
 )
 for first, second, times, noted in (
     ("HH,MM,SS", "12,59,{s}", FOUR, "HH, MM, SS are one time"),
@@ -419,8 +354,6 @@ accept(
     expected=RISING,
     unit="ohm",
 )
-GROWING = [f"{line},{n}" for n, line in enumerate(lines(CODES))]
-codes("a counter at the end of a frame", GROWING, "no header: field 16 frame")
 # matsense (PyPI) writes the values, the frame's number and the microseconds since 1970.
 FLOATS = [f"{line.replace(',', '.0,')}.0" for line in lines(CODES)]
 MATSENSE = [f"{line},{7 + n},{1738324800000000 + 40_000 * n}" for n, line in enumerate(FLOATS)]
@@ -441,23 +374,18 @@ codes(
     times=FOUR / 2,
 )
 NUMBERS = [str(value) for value in CODES.ravel()]
-codes("one number a line", NUMBERS, "one number a line, 15 lines a frame; row by row")
 codes(
     "one number a line, of which some lack",
     NUMBERS[:-4],
     "the last frame (line 46) is cut and left out",
     expected=VOLT_OF_CODES[:3],
 )
-SEPARATED = [text for frame in CODES for text in ("", *map(str, frame.ravel()))]
-codes("one number a line between blank lines", SEPARATED, "one number a line")
 TITLED = [
     text
     for n, frame in enumerate(CODES)
     for text in (f"Frame {n}: t = {250 * n} ms", *map(str, frame.ravel()))
 ]
 codes("one number a line below titles", TITLED, "one number a line", times=FOUR / 4)
-COUNTED = [f"{number % 15} {value}" for number, value in enumerate(CODES.ravel())]
-codes("a cell's number and a value a line", COUNTED, "one value a line as cell, value")
 refuse(
     "too few numbers",
     NUMBERS[:7],
@@ -706,7 +634,6 @@ for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le"):
     accept(f"a spreadsheet in {encoding}", text, *sentences, times=FOUR / 4)
 EXPORTED = "\ufeff# exported\r\n\r\n" + "\r\n".join(lines(FRAMES, ";", ","))
 accept("decimal commas without a header", EXPORTED, "decimal commas")
-accept("numbers in quotes", (line.replace(",", '","').join('""') for line in lines(FRAMES)))
 for written, number in (
     ("1.234,5", 1234.5),
     ('"1,234.5"', 1234.5),

@@ -44,17 +44,11 @@ def codes(title: str, content: Any, *notes: str, **options: Any) -> None:
 
 FLAT = lines(CODES)
 CELLS = [[f"r{r}c{c}" for r, c in np.ndindex(ROWS, COLUMNS)]] * 4
-PAIRS = [
-    ",".join(f"{name}:{value}" for name, value in zip(of, frame.ravel(), strict=True))
-    for of, frame in zip(CELLS, CODES, strict=True)
-]
-codes("labels of the Serial Plotter", [*PAIRS, ""], "names beside the values: r0c0, r0c1")
 TELEPLOT = [
     f">r{r}c{c}:{1735725600000 + 40 * n}:{CODES[n, r, c]}" for n, r, c in np.ndindex(CODES.shape)
 ]
 codes("Teleplot", [*TELEPLOT, ""], times=SECONDS / 25, start="2025-01-01T10:00:00Z")
 ROWS_OF = ["\n".join(lines(frame, "\t")) for frame in CODES]
-codes("titles of dashes", "".join(f"----- MATRIX -----\n{rows}\n" for rows in ROWS_OF))
 ESP = [
     "I (312) cpu_start: Starting scheduler.",
     *(f"I ({400 + 40 * n}) mat: {FLAT[n]}" for n in FOUR),
@@ -79,22 +73,6 @@ codes("JSON two levels deep", json.dumps(NESTED), name="m.json", times=SECONDS /
 PACKETS = {"device": "mat", "packets": [{"seq": n, "frames": [NESTED[n]]} for n in FOUR]}
 codes("packets of frames", json.dumps(PACKETS), name="m.json", times=SECONDS / 25)
 codes("JSON in a log", [*map(json.dumps, NESTED), ""], times=SECONDS / 25)
-WRAPPING = [
-    f"{(254 + n) % 256},{row},{line}" for n in FOUR for row, line in enumerate(lines(CODES[n]))
-]
-codes("a frame number that wraps", [*WRAPPING, ""], "field 1 frame, field 2 row")
-BEGUN = [*WRAPPING[1:], ""]
-codes("numbered rows from within a frame", BEGUN, "(line 1) is cut", expected=VOLT_OF_CODES[1:])
-ONE_TIME = [
-    "time_ms,c0,c1,c2,c3,c4",
-    *(f"{40 * n},{line}" for n in FOUR for line in lines(CODES[n])),
-]
-codes(
-    "one time for all rows",
-    [ONE_TIME[0], *ONE_TIME[2:], ""],
-    expected=VOLT_OF_CODES[1:],
-    times=SECONDS[1:] / 25,
-)
 LOST = FLAT[1].split(",")
 del LOST[7]
 GAP = VOLT_OF_CODES.copy()
@@ -138,13 +116,6 @@ codes(
 CLEARED = ["\x1b[2J\x1b[H" + rows for rows in ROWS_OF]
 codes("a screen that is cleared before each frame", [*CLEARED, ""])
 codes("marks of begin and end", [*(f"<{line}>" for line in FLAT), ""])
-BEYOND = LONG.copy()
-BEYOND[3] = np.nan
-codes("a field too many", [*LONG_LINES[:3], f"{FLAT[0]},7", *LONG_LINES[4:], ""], expected=BEYOND)
-CUT = "\n".join(FLAT)[:-1]
-codes(
-    "a last number that is cut", CUT, "left out: line 4, the last one", expected=VOLT_OF_CODES[:3]
-)
 BARE = [line for frame in CODES for line in lines(frame)]
 codes("rows without any mark", [*BARE, ""], "nothing says where a frame begins")
 codes(
@@ -160,11 +131,6 @@ MERGED = ["frame,row,c0,c1,c2,c3,c4"] + [
     for row, line in enumerate(lines(CODES[n]))
 ]
 codes("merged frame numbers", [*MERGED, ""], name="m.csv")
-MEANS = ["time,row,c0,c1,c2,c3,c4"]
-for n in FOUR:
-    MEANS += [f"{n},{row},{line}" for row, line in enumerate(lines(CODES[n]))]
-    MEANS.append("mean,,1,2,3,4,5")
-codes("rows of means", [*MEANS, ""], "left out", name="m.csv", times=SECONDS)
 AUTUMN = [
     "2025-10-26 02:59:58",
     "2025-10-26 02:59:59",
