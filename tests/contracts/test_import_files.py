@@ -37,9 +37,7 @@ from contracts.imports import (
 )
 
 from lampest import (
-    Bounds,
     InputError,
-    Misfit,
     Panel,
     Recording,
     Scene,
@@ -47,13 +45,11 @@ from lampest import (
     VirtualGroundReadout,
     import_file,
     read_scene,
-    reconstruct,
 )
 from tests.small_files import run_command
 
 T0 = datetime.datetime(2025, 1, 31, 12, 0, 0)
 TEN_SECONDS = datetime.timedelta(seconds=10)
-MAX_ERROR = 1e-2  # of cells from volts in a text, relative
 TENS = 10 * np.arange(4)
 VOLTS = 5.0 * 1000.0 / (FRAMES + 1000.0)  # across the reference: R = (Vcc − V)/V·Rref
 FRAMES_LAST = FRAMES.transpose(1, 2, 0)
@@ -716,25 +712,6 @@ def test_the_import_sets_entries_of_a_scene(tmp_path: Path, lampest: Callable[..
     assert (wrong.code, out.exists()) == (2, False) and "pitsch_mm" in wrong.err
     nowhere = lampest(*words, "--rows", 3, "--columns", 5, "--set", "panel.pitch_mm=4")
     assert (nowhere.code, out.exists()) == (2, False) and "--scene" in nowhere.err
-
-
-def test_drive_and_converter_of_a_virtual_ground_have_separate_voltages(tmp_path: Path) -> None:
-    truth = np.random.default_rng(2).uniform(1500, 6000, (1, ROWS, COLUMNS))
-    volts = OWN_VOLTAGES.circuit.exact_reading(truth)
-    (tmp_path / "v.csv").write_text("\n".join(lines(volts)))
-    recording, notes = import_file(tmp_path / "v.csv", ROWS, COLUMNS, OWN_VOLTAGES)
-    assert any(note.startswith("unit volt, guessed") for note in notes)
-    estimate = reconstruct(
-        recording, [Misfit()], formulation="reduced", bounds=Bounds("none", "none")
-    )
-    np.testing.assert_allclose(estimate.cell_resistance, truth, rtol=MAX_ERROR)
-    np.save(tmp_path / "c.npy", np.floor(volts / 2.5 * 1024).astype(int))
-    recorded = import_file(tmp_path / "c.npy", scene=OWN_VOLTAGES)[0].recorded
-    np.testing.assert_allclose(recorded, volts, atol=2.5 / 1024)
-    expected = amplifiers(supply_volt=5.0).circuit.exact_reading(truth)
-    np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), expected)
-    with pytest.raises(ValueError, match="converter_volt must lie between"):
-        amplifiers(converter_volt=0.0)
 
 
 # The command.

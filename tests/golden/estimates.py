@@ -11,24 +11,18 @@ from typing import Any, get_args
 
 import numpy as np
 from golden.circuits import COLD, FILM, PANEL, RESPONSES, Rows, scenes
-from golden.content import OfKind, of_kind
+from golden.content import OfKind
 from unclosed import unclosed_recording
 
 import lampest as lp
-from lampest.apps.calibration import known_loads
-from lampest.apps.calibration.channels import calibrate_channels
-from lampest.apps.calibration.loads import calibrate_loads
 from lampest.apps.calibration.resistors import calibrate_resistors, noise_of
-from lampest.apps.studies.common import CONFIGS, paper_methods
+from lampest.apps.studies.common import paper_methods
 from lampest.cost.given import Background
-from lampest.estimate.batch import push_streams
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.joint import Joint, error_bars
 from lampest.estimate.methods.method import OptimalMethod
-from lampest.estimate.modules import begin_stream
 from lampest.estimate.sequence import default_terms
-from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
@@ -36,7 +30,6 @@ from lampest.panel.effects import Shared
 from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts import tolerances
 from lampest.panel.readouts.channel_memory import with_memory
-from lampest.panel.scene import OwnOfModule
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import (
     Readings,
@@ -49,8 +42,6 @@ from lampest.recording.readings import (
 from lampest.recording.simulation.measure import OPEN_OHM
 from lampest.report.reconstruction import Reconstruction
 from lampest.runs.filling import frame_noise_of
-from lampest.solvers.projected_lbfgs import InverseHessians
-from lampest.solvers.solution import Settings
 
 # Recordings
 
@@ -349,20 +340,6 @@ def calibration_row(calibration: Any) -> dict[str, Any]:
     }
 
 
-def resistors_row(scene: lp.Scene, shift: float = 0.0) -> dict[str, Any]:
-    """Calibration by known resistors on every cell, where the circuit deviates from the scene."""
-    printed = np.random.default_rng(4).choice([220.0, 470, 1000, 2200, 4700], PANEL.shape)
-    calibration = calibrate_resistors(
-        [on_resistors(scene, printed, shift)], [printed], tolerance=1e-3
-    )
-    return calibration_row(calibration) | {
-        "numbers": [
-            (number.label, number.value, number.sigma, number.lines)
-            for number in calibration.numbers
-        ]
-    }
-
-
 def on_resistors(
     scene: lp.Scene, printed: lp.Array, shift: float = 0.0, spread: float = 9.0, **true: Any
 ) -> lp.Recording:
@@ -558,166 +535,6 @@ def joint_row() -> list[Any]:
     return [*rows, error_bars(begun.stepped(), 2, Shared.of(recording.scene))]
 
 
-def batches_row() -> dict[str, Any]:
-    """Frames of streams that are solved together, and their cells.
-
-    The estimators and the missing readings differ.
-    """
-    misfit = lp.Misfit(weighting="noise")
-    penalty = lp.LogGradient(weight=3.0)
-    recording = simulated()
-    rows = {}
-    bare = partial(Estimator, (misfit, penalty), "reduced", error_bars=False)
-    frame = lp.AutoWeight(per="frame")
-    change = (misfit, lp.LogRatio(weight=0.3))
-    cases = {
-        "bars": Estimator((misfit, penalty), "auto"),
-        "bare": bare(),
-        "limited": bare(solver=Settings(time_limit_s=60.0)),
-        "starts": bare(solver=Settings(starts=2)),
-        "auto": Estimator((misfit, AUTO), "reduced", error_bars=False),
-        "per frame": Estimator((misfit, AUTO), "reduced", error_bars=False, auto_weight=frame),
-        "joint": Estimator(change, OptimalMethod("reduced", joint=True)),
-        "change": Estimator(
-            change,
-            OptimalMethod("reduced", joint=False),
-        ),
-        "previous": Estimator((misfit, lp.LogRatio(weight=0.3, reference="previous")), "reduced"),
-        "truncated": Estimator((misfit, penalty), "truncated"),
-    }
-    for name, estimator in cases.items():
-        stream = Stream.begin(estimator, recording.scene, 1.0, recording.readings()[:4].mean())
-        recorded = recording.recorded[4:7].copy()
-        inverses = InverseHessians.nothing(3)
-        recorded[0, 1, 2] = np.nan if name in ("bars", "bare") else recorded[0, 1, 2]
-        pushed, inverses = push_streams(
-            {0: stream, 2: stream}, lp.Readings.of(recording.scene, recorded), inverses
-        )
-        steps = [pushed[0][1].cell_resistance, None, pushed[2][1].cell_resistance]
-        rows[name] = [
-            inverses.positive,
-            np.array([panel is None for panel in inverses.panels]),
-            steps,
-        ]
-    return rows
-
-
-def modules_row() -> list[Any]:
-    """Weights that modules choose together while a load arrives.
-
-    The second module has another converter, and the fourth is dead.
-    """
-    layout = Modules(1, 5, EachModule(3, 4), seam_mm=4.0)
-    rng = np.random.default_rng(3)
-    own = (OwnOfModule((0, 1), readout=lp.TwoPointReadout(noise_lsb=0.7, adc_bits=14)),)
-    scene = lp.Scene(
-        lp.Panel(modules=layout),
-        lp.TwoPointReadout(noise_lsb=0.7),
-        140.0,
-        modules=own,
-        faults=lp.Faults(dead_modules=((0, 3),)),
-    )
-    cells = 3000 * np.exp(0.1 * rng.standard_normal((5, *layout.shape)))
-    cells[2:, 1, 1:9] *= np.array([0.9, 0.4, 0.2])[:, None]
-    exact = np.stack(
-        [layout.joined(lp.two_point_resistance(layout.split(frame))) for frame in cells]
-    )
-    readings = lp.Readings.of(scene, exact + 140 + rng.standard_normal(exact.shape))
-    rows = list[Any]()
-    for terms in ((lp.Misfit(), AUTO), (lp.Misfit(weighting="noise"), lp.LogRatio(weight="auto"))):
-        estimator = Estimator(terms, "reduced", error_bars=False)
-        stream = begin_stream(estimator, scene, 0.1, readings[:2].mean())
-        for number in range(2, 5):
-            stream, step = stream.push(readings[number])
-            parts = [
-                part and (part.weights, part.weight_sigma, part.weighed_at)
-                for part in map(stream.modules.get, range(layout.count))
-            ]
-            rows.append([step.cell_resistance, parts])
-        fresh = begin_stream(estimator, scene, 0.1, readings[:2].mean())
-        carried = stream.carried
-        rows += [
-            carried,
-            *(
-                target.push(readings[3])[1].cell_resistance
-                for target in (fresh.carrying(carried), stream)
-            ),
-        ]
-        rows.append(stream.tared(readings[4]).push(readings[3])[1].cell_resistance)
-    return rows
-
-
-def channels_row(scene: lp.Scene) -> dict[str, Any]:
-    scene = replace(scene, systematic=lp.Systematic(0.01, 5.0))
-    calibration = calibrate_channels([simulated("channel_spread_ohm", scene)])
-    return calibration_row(calibration) | {
-        "errors": calibration.errors,
-        "covariance": calibration.covariance,
-        "apart": [calibration.apart, calibration.apart_before],
-    }
-
-
-def loads_row() -> dict[str, Any]:
-    """A rod on four places of the panel, one recording each."""
-    rods = [
-        replace(ROD, centre_mm=place)
-        for place in ((10.0, 10.0), (30.0, 10.0), (10.0, 22.0), (30.0, 22.0))
-    ]
-    scene = lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)
-    lying: dict[str, Any] = {"course": lp.Course(), "frames": 3}
-    recordings = [
-        replace(simulated("response_spread", scene, loads=(rod,), **lying), name=f"r{number}")
-        for number, rod in enumerate(rods)
-    ]
-    known = [
-        known_loads.KnownLoad(
-            frames=(4, 6),
-            recording=f"r{n}",
-            mass_g=500.0,
-            x_mm=rod.centre_mm[0],
-            y_mm=rod.centre_mm[1],
-            diameter_mm=24.0,
-        )
-        for n, rod in enumerate(rods)
-    ]
-    calibration = calibrate_loads(
-        recordings, known_loads.KnownLoads(schema=1, loads=tuple(known)), 0.01
-    )
-    blocks = known_loads.KnownLoads(
-        schema=1,
-        loads=(
-            known_loads.KnownLoad(
-                frames=(0, 1),
-                force_newton=5.0,
-                x_mm=20.0,
-                y_mm=10.0,
-                length_mm=30.0,
-                width_mm=12.0,
-                angle_deg=20.0,
-            ),
-            known_loads.KnownLoad(frames=(2, 3), pressure_kpa=7.0),
-        ),
-    )
-    doubled = [
-        replace(each, mass_g=500.0 * (1 + (n == 2)), diameter_mm=16.0)
-        for n, each in enumerate(known)
-    ]
-    late = [replace(known[0], frames=(5, 6)), *doubled[1:]]
-    lists = [known_loads.KnownLoads(schema=1, loads=tuple(loads)) for loads in (doubled, late)]
-    odd = [calibrate_loads(recordings, each, 0.0) for each in lists]
-    return calibration_row(calibration) | {
-        "odd": [
-            [each.warnings, each.remarks, each.fitted.spread, each.fitted.scatter] for each in odd
-        ],
-        "fitted": calibration.fitted,
-        "pressures": blocks.pressures(PANEL),
-        "moved": known[0].pressure(PANEL, 6.0, 3.0, -2.0),
-        "read": [
-            known_loads.read_known_loads(CONFIGS / f"known_loads.{kind}") for kind in ("csv",)
-        ],
-    }
-
-
 def of_estimate() -> Rows:
     recordings: dict[str, Callable[[], lp.Recording]] = {
         "gaps": gapped,
@@ -734,10 +551,6 @@ def of_estimate() -> Rows:
         for name in scenes()
         if name not in ("DrivenReadout",)
     }
-    resistors = {
-        name: scenes()[name]
-        for name in ("noisy", "LoadedColumnsReadout", "GroundedReadout", "VirtualGroundReadout")
-    }
     usual = Estimator((lp.Misfit(weighting="noise"), lp.LogGradient(weight=3.0)))
     return (
         {
@@ -748,7 +561,6 @@ def of_estimate() -> Rows:
             f"estimate with {name}": partial(estimate_row, made, usual)
             for name, made in recordings.items()
         }
-        | {f"resistors {name}": partial(resistors_row, scene) for name, scene in resistors.items()}
         | {
             "estimate of coupled modules": partial(
                 estimate_row,
@@ -791,23 +603,5 @@ def of_estimate() -> Rows:
             "stored noise": stored_noise_row,
             "noise of frames": frame_noise_row,
             "frames as one": joint_row,
-            "streams together": batches_row,
-            "modules that choose together": modules_row,
-            "channels": of_kind(
-                "searched",
-                partial(
-                    channels_row,
-                    lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0),
-                ),
-            ),
-            "channels of drives": of_kind(
-                "searched",
-                partial(
-                    channels_row,
-                    lp.Scene(PANEL, lp.LoadedColumnsReadout(adc_bits=12, drive_ohm=100.0)),
-                ),
-            ),
-            "resistors of bad channels": partial(resistors_row, scenes()["noisy"], 87.9),
-            "known loads": of_kind("fitted", loads_row),
         }
     )

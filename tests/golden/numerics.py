@@ -473,26 +473,6 @@ def batch_row() -> dict[str, Any]:
     return rows
 
 
-def minima_row() -> dict[str, Any]:
-    """The lowest of several minima and its starts, with and without an earlier estimate."""
-    begin = point("student", decades=2.0)
-    rows = dict[str, Any]()
-    readings = lp.Misfit(loss=lp.Student(corner=1.0))
-    steps = lp.LogGradient(weight=3e4, loss=lp.Student(corner=0.05))
-    for name, terms in {
-        "readings": (readings, lp.LogGradient(weight=2.0)),
-        "steps": (lp.Misfit(), steps),
-    }.items():
-        for number, previous in product((None, 3), (None, begin.cell_resistance)):
-            solver = ProjectedNewton(Cost(PANEL, terms), Settings(starts=number))
-            data = replace(begin.data, first=number is None)
-            solution = multistart.best_solution(solver, data, previous)
-            few = solution.iterations <= MAX_ITERATIONS
-            known = solution.objective, solution.starts, solution.convex, few
-            rows[f"{name} {number} {previous is None}"] = list(known)
-    return rows
-
-
 def verdicts_row() -> dict[str, Any]:
     """Verdicts of a check on outcomes of every status.
 
@@ -606,7 +586,6 @@ def of_solvers() -> Rows:
             "searches": search_row,
             "limits": limits_row,
             "verdicts": verdicts_row,
-            "minima": minima_row,
             "panels together": batch_row,
             "steps": steps_row,
         }

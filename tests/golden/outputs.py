@@ -60,11 +60,10 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.report import compare, plots, words
 from lampest.report.export import nwb
 from lampest.report.info import describe, shaded_map, text_map, understood_lines
-from lampest.report.plots import PLOTS, maps, plot_of, style
+from lampest.report.plots import PLOTS, maps, style
 from lampest.report.reconstruction import Reconstruction
 from lampest.report.strongest import strongest_index
 from lampest.report.words import digits
-from lampest.runs import config
 
 # Results, tables, pictures and messages
 
@@ -1084,7 +1083,6 @@ def pictured_row() -> list[Any]:
                 outcomes.append([str(path) for path in lp.plot_results(*way, **known)])
             except lp.InputError as error:
                 outcomes.append(str(error))
-        outcomes += strongest_of_files()
         batch = compared.read_batch(
             [Path(f"{name}.h5") for name in ("one", "two", "swept", "bare")]
         )
@@ -1113,36 +1111,6 @@ def timeline_row() -> dict[str, Any]:
         ),
     }
     return {name: drawn_row(timeline(answer)) for name, answer in answers.items()}
-
-
-def strongest_of_files() -> list[Any]:
-    """Pictures of the strongest frame of recordings and of results.
-
-    The second recording has no unloaded frames.
-    """
-    values = np.full((4, 2, 3), 500.0)
-    calls = list[Any]()
-    values[1, 0, 0], values[3, 1, 2] = 490.0, 400.0
-    recording = lp.Recording(
-        lp.Scene(lp.Panel(2, 3)), values, 0.5 * np.arange(4.0), np.array([0, 1, 1, 1], np.uint8)
-    )
-    recording.save("r.h5")
-    replace(recording, role=np.ones(4, dtype=np.uint8)).save("u.h5")
-    with (
-        patch.object(plots, "save", lambda figure, path: calls.append([*figure, path.name])),
-        patch.object(
-            plots, "maps_figure", lambda tiles, *_, **options: [list(map(vars, tiles)), options]
-        ),
-    ):
-        plots.plot_file(Path("r.h5"), Path("x.png"))
-    lp.write_results(Path("pair.h5"), invented()[2:4])
-    with patch.object(
-        plots,
-        "plot_results",
-        lambda *known, **further: calls.append([*map(str, known), further]) or known[1:],
-    ):
-        plots.plot_file(Path("pair.h5"), Path("x.png"))
-    return [*calls, refusal(plots.plot_file, Path("u.h5"), Path("x.png"))]
 
 
 def detected_results_row() -> list[Any]:
@@ -1181,59 +1149,6 @@ def detected_results_row() -> list[Any]:
     with tempfile.TemporaryDirectory() as folder:
         file = stored(write_detections(Path(folder, "d.h5"), answers))
     return [file, *(answer_row(answer) for answer in answers)]
-
-
-SQUARE = ((0, 0, 0, 0), (0, 1, 10, 0), (1, 0, 0, 10), (1, 1, 10, 10))
-
-
-def variants_row() -> list[Any]:
-    """Pictures of other circuits, without noise, of failed frames, and of cells apart or alone."""
-    case = invented_case(shape=(1, 2, 3))
-    pull_ups = lp.LoadedColumnsReadout(
-        polarity="down", supply_volt=5.0, load_ohm=35e3, drive_ohm=30.0
-    )
-    scenes = (
-        replace(case.scene, readout=lp.TwoPointReadout(reference_ohm=1.0)),
-        replace(case.scene, readout=pull_ups, series_resistance_ohm=0.0),
-    )
-    volts = replace(
-        case, measured=np.full_like(case.measured, 1.5), cell_resistance=1e-6 * case.cell_resistance
-    )
-    square = invented_case(shape=(1, 2, 2))
-    single = replace(invented()[0], recording="single")
-    ones = np.ones((2, 2))
-    tiles = [
-        maps.Tile(f"a long name of an estimator, the number {n} of them", n * ones)
-        for n in range(7)
-    ]
-    apart = [
-        lp.Panel(2, 2, cells=tuple((j, k, x * far, y * far) for j, k, x, y in SQUARE))
-        for far in (1, 5)
-    ]
-    return [
-        *(
-            drawn_row(plot_of("resistance").draw((replace(volts, scene=scene),)))
-            for scene in scenes
-        ),
-        *(
-            drawn_row(
-                plot_of("residuals").draw((replace(case, reading_model=case.measured * factor),))
-            )
-            for factor in (1.03, 1.0)
-        ),
-        *(
-            [len(axes.collections) for axes in lp.ContourPlot().draw((shown,)).axes]
-            for shown in (replace(square, scene=lp.Scene(panel)) for panel in apart)
-        ),
-        drawn_row(maps.maps_figure(tiles, square.scene.panel, maps.change_scale([ones], "a"))),
-        drawn_row(lp.ContourPlot(6).draw(invented()[:3])),
-        drawn_row(lp.PressurePlot(6).draw((single,))),
-        [refusal(plots.picture, (single,), lp.PressurePlot(frame)) for frame in (6, 99)],
-        *(
-            drawn_row(lp.ContourPlot().draw((invented_case(shape=size),)))
-            for size in ((2, 1, 1), (1, 1, 7), (2, 5, 1))
-        ),
-    ]
 
 
 def nwb_row() -> list[Any]:
@@ -1309,9 +1224,7 @@ def of_report() -> Rows:
             "long columns": lambda: {
                 name: series.values for name, series in invented()[0].long_columns().items()
             },
-            "schema": lambda: sorted(config.json_schema()["$defs"]),
             "report of a fit": fit_row,
-            "pictures of variants": variants_row,
             "pictures of files": pictured_row,
             "results that are watched": detected_results_row,
         }

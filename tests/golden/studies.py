@@ -334,70 +334,6 @@ def extremes_row(case: str) -> dict[str, Any]:
 
 
 SIDES = ((10, 9), (11, 3), (3, 16), (16, 16), (17, 3), (4, 17), (1000, 1000), (1001, 1))
-NO_GRID = extreme_scenes.Grid(())
-REFUSED: tuple[tuple[Callable[..., Any], tuple[Any, ...], tuple[dict[str, Any], ...]], ...] = (
-    (tradeoff.TradeoffFile, (1,), ({},)),
-    (
-        partial(tradeoff.TradeoffFile, recordings=("a.h5",)),
-        (1,),
-        (
-            {},
-            {"estimators": {}},
-            {"formulations": ("naive",)},
-            {"formulations": ("reduced", "reduced")},
-            {"memory": "mine"},
-            {"frames": 1},
-            {"repeats": 0},
-            {"patience_s": -1.0},
-            {"patience_s": 0.0},
-        ),
-    ),
-    (
-        tradeoff.Simulated,
-        (),
-        (
-            {"sizes": ()},
-            {"sizes": (7,)},
-            {"sizes": (1001,)},
-            {"sizes": (8, (8, 8))},
-            {"sizes": (8,), "seed": -1},
-            {"sizes": (8, (8, 1000)), "seed": 0},
-            {"sizes": (8,), "noise": {}},
-            {"sizes": (8,), "diameter_mm": 0.0},
-        ),
-    ),
-    (
-        BenchFile,
-        (1,),
-        (
-            {"sizes": ()},
-            {"sizes": (1,)},
-            {"sizes": (2, 1000)},
-            {"sizes": (3,), "memory": (1,)},
-            {"sizes": (3,), "limits": bench.BenchLimits(2, 2)},
-            {"sizes": (3,), "frames": 0},
-            {"sizes": (3,), "budget_s": 0.0},
-        ),
-    ),
-    (
-        extreme_scenes.Grid,
-        (),
-        (
-            {"sizes": (0,)},
-            {"sizes": (65,)},
-            {"sizes": (1, 64), "decades": (0, 15)},
-            {"sizes": (2,), "noise": (101,)},
-        ),
-    ),
-    (
-        extremes.AtlasFile,
-        (1,),
-        (
-            {"grid": NO_GRID, "structured": NO_GRID},
-            {"grid": extreme_scenes.Grid((2,)), "structured": NO_GRID, "estimators": {}},
-        ),
-    ),
-)
 
 
 def settings_row() -> dict[str, Any]:
@@ -421,9 +357,6 @@ def settings_row() -> dict[str, Any]:
         "too few": refusal(common.first_frames, simulated(), 1),
         "shipped": len(read_settings(extremes.AtlasFile)(common.CONFIGS / "extremes.yaml").samples),
         "atlas": [(*vars(each).values(), *atlas.formulations(each)) for each in atlas.samples],
-        "refused": [
-            refusal(made, *known, **each) for made, known, changes in REFUSED for each in changes
-        ],
     }
 
 

@@ -4,7 +4,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, chdir, contextmanager, suppress
+from contextlib import ExitStack, chdir, contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -14,13 +14,11 @@ from unittest.mock import patch
 
 import h5py
 import numpy as np
-from attack.attack import called
-from golden.checks import recorded
 from golden.circuits import PANEL, Rows, cells_of
 from golden.content import of_kind
-from golden.estimates import case_row, simulated
+from golden.estimates import simulated
 from golden.numerics import COSTS, TINY, certificate_row, point, solver_row
-from golden.outputs import command, invented
+from golden.outputs import invented
 from golden.runs import reason
 from support import invented_case
 from typer.main import get_command
@@ -35,15 +33,10 @@ from lampest.estimate.estimator import Estimator
 from lampest.files import hdf5
 from lampest.files.checksums import lookup3
 from lampest.files.errors import InputError
-from lampest.inference import model_error
-from lampest.inference.prepared import Prepared
 from lampest.recording import simulation
-from lampest.recording.stored import save_parts
 from lampest.report.info import checked_sentence, describe
-from lampest.runs import batch, task
 from lampest.runs.case import ATTRIBUTES, REQUIRED, all_columns
 from lampest.runs.columns import FRAMES, Column
-from lampest.runs.executors import Serial
 from lampest.solvers import interior_point, projected_newton
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.certificate import certificate
@@ -185,111 +178,6 @@ def barrier_row() -> Any:
         }
 
 
-RUN_OF_PARTS = """
-schema: 1
-recordings: [long.h5]
-estimators:
-  apart: {terms: {misfit: {}, gradient: {weight: 1e-3}}, formulation: reduced, error_bars: false}
-  alone: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 3.0}}, formulation: linearised}
-  following:
-    terms: {misfit: {}, log_ratio: {weight: 100.0, reference: previous}}
-    formulation: {kind: reduced}
-"""
-
-
-def parts_row() -> dict[str, Any]:
-    """A recording solved in parts of sixteen frames, by a run that stops before it joins them."""
-    with tempfile.TemporaryDirectory() as folder, chdir(folder):
-        simulated(frames=19, baseline_frames=3).save("long.h5")
-        Path("run.yaml").write_text(RUN_OF_PARTS)
-        with limits(
-            recording__stored__MAX_READINGS=200,
-            recording__stored__PART_READINGS=20,
-            report__info__PART_READINGS=300,
-        ):
-            tasks = [
-                task.Task(case, Path("out").absolute())
-                for case in lp.read_run(Path("run.yaml")).cases
-            ]
-            with (
-                suppress(KeyboardInterrupt),
-                patch.object(task, "join_case", side_effect=KeyboardInterrupt),
-            ):
-                batch.run_batch(lp.read_run(Path("run.yaml")), Path("out"), Serial())
-            broken_off = [
-                (case.frames_done, case.whole_parts, task.parts_to_solve(case)) for case in tasks
-            ]
-            tasks[0].carried(1).unlink()
-            broken_off += [
-                (case.frames_done, case.whole_parts, task.parts_to_solve(case)) for case in tasks
-            ]
-            printed = command("run", "run.yaml", "--jobs", "1", "--out", "out")
-            rerun = command("run", "run.yaml", "--jobs", "1", "--out", "out")
-            reports = (
-                command("info", "long.h5"),
-                command("tare", "long.h5", "--frames", "16:18", "--out", "t.h5"),
-            )
-            reports += (command("info", "out/results.h5"),)
-            roles = lp.Recording.load("t.h5").role
-            save_parts(Path("one.h5"), (simulated() for _ in range(1)))
-            with limits(files__hdf5__MAX_VALUES=15_000, report__info__MAX_READINGS=200):
-                results = str(Path("out", "results.h5"))
-                refusals = [
-                    called(*words, folder=Path()).err
-                    for words in (
-                        ("compare", results),
-                        ("detect", results),
-                        ("plot", results),
-                        ("check", results),
-                        ("export", results, "--to", "csv"),
-                        ("compare", results, "--frames", "0:3"),
-                        ("compare", results, "--csv", results),
-                        ("export", results, "--to", "csv", "--frames", "4:5"),
-                    )
-                ]
-                exported = len(Path("out", "results.csv").read_text().splitlines())
-        cases = lp.read_results("out/results.h5", frames=range(3, 20)).cases
-        with h5py.File("one.h5") as file:
-            single = (
-                sorted(file.attrs),
-                str(file["entry"].attrs["default"]),
-                lp.Recording.load("one.h5").time,
-            )
-    words = [
-        re.sub(r"in \d.* s\b|\d+ bytes|case [0-9a-f]+", "…", text)
-        for text in (printed, rerun, *reports)
-    ]
-    return {
-        "cases": [case_row(case) for case in cases],
-        "words": words,
-        "roles": roles,
-        "broken off": broken_off,
-        "looks": refusals,
-        "exported": exported,
-        "one part": single,
-    }
-
-
-# Errors of the model
-
-
-def model_error_row() -> dict[str, Any]:
-    """Readings that are off, each by its own factor, without still cells that would show it."""
-    rows = {}
-    with limits(inference__model_error__MIN_READINGS=20):
-        for error in (0.0, 0.2):
-            recording = recorded(reading_error=error)
-            noise = replace(Prepared(recording).frame_noise, possible_errors=None)
-            judged = model_error.with_model_error(noise, recording)
-            rows[str(error)] = [
-                judged.warnings,
-                judged.model_factor,
-                judged.sigma_factor,
-                judged.readings.sigma,
-            ]
-    return rows
-
-
 # Pages and figures
 
 
@@ -338,14 +226,8 @@ SIMULATIONS = {
         + "output: '../made/s{seed:03d}_{mass_g}.h5'\nsweep: {seed: [1, 2], loads.0.mass_g: [50, "
         "60]}\n"
     ),
-    "wrongly drawn": "cells: {resistance_ohm: {uniform: [3, 1]}}\n",
-    "three ends": "cells: {spread: {uniform: [1, 2, 3]}}\n",
-    "same names": "output: s.h5\nsweep: {frames: [1, 2]}\n",
-    "no name": "output: s.txt\n",
-    "no word": "output: '{me}.h5'\n",
     "several without names": "sweep: {frames: [1, 2], cells.resistance_ohm: [900, 1000.0]}\n",
     "in folders": "output: '{frames}/s.h5'\nsweep: {frames: [1, 2]}\n",
-    "swept wrongly": "sweep: {frame: [1, 2]}\n",
     "swept badly": "sweep: {frames: 2}\n",
     "swept by nothing": "sweep: {frames: []}\n",
 }
@@ -549,8 +431,6 @@ def of_whole() -> Rows:
             "exact readings large": partial(as_large, exact_row),
             "files": files_row,
             "interior point": barrier_row,
-            "parts": parts_row,
-            "model error": model_error_row,
             "report": report_row,
             "columns": columns_row,
             "chunks": chunks_row,
