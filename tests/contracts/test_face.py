@@ -264,6 +264,8 @@ def test_saved_results_equal_the_arrays(estimate: Reconstruction, tmp_path: Path
         "resolution",
         "data_share",
         "baseline_resistance_errors",
+        "reading_model",
+        "solve_time",
     ):
         assert_array_equal(getattr(estimate, name), getattr(case, name), name)
     shape = (4, 10, 10)

@@ -133,17 +133,6 @@ def test_a_labelled_array_becomes_a_recording_in_any_order_of_dimensions() -> No
 # Figures.
 
 
-@pytest.mark.slow
-def test_readings_and_times_of_an_estimate_equal_those_of_its_file(
-    estimate: Reconstruction,
-) -> None:
-    case = estimate.result()
-    np.testing.assert_array_equal(estimate.reading_model, case.reading_model)
-    np.testing.assert_array_equal(estimate.solve_time, case.solve_time)
-    assert estimate.to_xarray()["reading_sigma"].attrs["units"] == "volt"  # of readings in volt
-    assert estimate.to_dataframe().attrs["units"]["reading_sigma"] == "volt"
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_picture_fits_into_given_axes_with_given_ends(
     kind: str, estimate: Reconstruction, axes: Any

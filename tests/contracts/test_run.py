@@ -7,7 +7,6 @@ import fcntl
 import os
 import re
 import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -202,22 +201,6 @@ def test_shipped_runs_are_valid(name: str) -> None:
         "LSR-gCR": [("Misfit", 1), ("Gradient", 1e-3)],
         "LSR-gdCR": [("Misfit", 1), ("GradientOfRelativeChange", 10)],
     }
-
-
-@pytest.mark.slow
-def test_a_missing_library_gives_one_sentence(
-    disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    path = disk.run(disk.text + "executor: {kind: dask}\n")
-    completed = lampest("run", path, "--out", disk.folder / "out")
-    assert (completed.code, completed.out) == (2, "")
-    assert (
-        completed.err
-        == "lampest: distributed is not installed; pip install 'lampest[cluster]' brings it\n"
-    )
-    assert not (disk.folder / "out").exists()
-    assert lampest("run", path, "--out", disk.folder / "out", "--jobs", "1").code == 0
 
 
 def interrupted(path: Path, out: Path, pattern: str, count: int) -> tuple[int, str, str]:

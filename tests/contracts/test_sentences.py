@@ -220,34 +220,6 @@ def lampest_cases(run: Path) -> Any:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("circuit", ["two_mux", "pull_ups", "grounded", "amplifiers"])
-@pytest.mark.parametrize("unloaded", [True, False])
-def test_info_of_the_starter_recording_reports_no_touching_lines(
-    circuit: str, unloaded: bool, tmp_path: Path, lampest: Command
-) -> None:
-    assert lampest("init", tmp_path / "mine", "--readout", circuit).code == 0
-    path = tmp_path / "mine" / "example.h5"
-    if not unloaded:
-        from lampest import Recording
-
-        recording = Recording.load(path)
-        loaded = recording.role == 1
-        Recording(
-            recording.scene,
-            recording.recorded[loaded],
-            recording.time[loaded],
-            recording.role[loaded],
-        ).save(path)
-    completed = lampest("info", path)
-    assert (
-        completed.code == 0
-        and "in every frame: if they touch" not in completed.out
-        and "shorted together" not in completed.out
-    )
-    assert ("the strongest change against the unloaded ones" in completed.out) is unloaded
-
-
-@pytest.mark.slow
 def test_info_names_the_reference_of_the_changes(tmp_path: Path, lampest: Command) -> None:
     from lampest import LogGradient, Misfit, Panel, Recording, Scene, TwoPointReadout, reconstruct
 

@@ -97,13 +97,6 @@ def test_estimates_of_a_board_are_stored_and_checked_like_sums(tmp_path: Path) -
         replace(recording, board_log_change=expected)
 
 
-def test_recordings_of_boards_without_estimates_lack_that_dataset(killed: Path) -> None:
-    repair(killed)
-    assert Recording.load(killed).board_log_change is None
-    with h5py.File(killed) as file:
-        assert "board" not in file["entry"]
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("damaged", [None, 5])
 def test_a_journal_without_a_salt_is_readable(killed: Path, damaged: int | None) -> None:

@@ -220,12 +220,6 @@ def test_any_converter_whose_sums_fit_32_bits_is_estimated(adc_bits, readings):
     estimates = host.frames(sums, Budget(8, 60, 0.01))
     optimum = np.log(case.cell_resistance / case.baseline_resistance)
     assert np.abs(estimates.log_change - optimum).max() < 1e-3
-    gap = sums[-1].copy()
-    gap[1, 1] = MISSING
-    gap[2, 2] = constants.top_sum + 1
-    change, status = host.frame(gap)
-    assert (status[0], status[5]) == (FINE, 2)
-    assert np.isfinite(change).all()
 
 
 @pytest.mark.slow
