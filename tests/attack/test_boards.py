@@ -133,10 +133,7 @@ def test_a_killed_recorder_leaves_every_counted_frame(
 
 @attack(1, 10)
 def test_a_paused_broker_receives_no_late_messages(rng: Rng, folder: Path, count: int) -> Outcomes:
-    """A broker pauses for one to three seconds.
-
-    Messages of that time are lost, but for the first 0.2 s.
-    """
+    """A broker pauses for one to three seconds."""
     port = free_port()
     ages = list[float]()
     ear = Client(CallbackAPIVersion.VERSION2)

@@ -339,10 +339,7 @@ def test_check_names_datasets_without_digests_or_checksums(tmp_path: Path) -> No
 def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
-    """A killed recorder's file, damaged: refused or read as it was.
-
-    Repair keeps only what was written.
-    """
+    """A killed recorder's file, damaged: refused or read as it was."""
     path = unclosed_recording(
         folder / "e.h5", Scene(Panel(3, 4), TwoPointReadout(), 140.0), 12, unloaded=3
     )
@@ -358,10 +355,7 @@ def test_a_damaged_unclosed_recording_is_refused_or_read_unchanged(
 def test_repair_takes_no_frames_of_another_recording(
     rng: Rng, folder: Path, count: int
 ) -> Outcomes:
-    """The end of a journal is that of another one of the same scene.
-
-    Old blocks of a disk may be so.
-    """
+    """The end of a journal is that of another one of the same scene."""
     scene = Scene(Panel(3, 4), TwoPointReadout(), 140.0)
     for number in range(count):
         frames = int(rng.integers(20, 60))

@@ -1,7 +1,4 @@
-"""A disk that accepts no data for seconds, as a network disk whose server is busy.
-
-All frames are recorded in their order.
-"""
+"""A disk that accepts no data for seconds, as a network disk whose server is busy."""
 
 import time
 from collections.abc import Callable
@@ -25,10 +22,7 @@ FROZEN_CALL = 20  # the write to the disk that takes so long
 def test_a_disk_frozen_for_seconds_costs_no_frame(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Frames wait in the port meanwhile.
-
-    `fsfreeze` of a mounted disk for six seconds ended the same.
-    """
+    """Frames wait in the port meanwhile."""
     append: Callable[..., None] = Journal.append
     calls = list[int]()
 

@@ -1,7 +1,4 @@
-"""A disk that is full, fails, or loses the file while a board is recorded.
-
-Recorded frames are whole, and one sentence counts them.
-"""
+"""A disk that is full, fails, or loses the file while a board is recorded."""
 
 import errno
 import itertools

@@ -1,7 +1,4 @@
-"""Small files that expand, and scenes that need more memory than a machine has.
-
-lampest refuses them with one sentence and little memory.
-"""
+"""Small files that expand, and scenes that need more memory than a machine has."""
 
 import struct
 import subprocess

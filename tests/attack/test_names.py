@@ -1,7 +1,4 @@
-"""Names that would move the cursor, paint, or pretend to be another line.
-
-What reaches a terminal is plain.
-"""
+"""Names that would move the cursor, paint, or pretend to be another line."""
 
 import shutil
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Receivers of OSC that are absent, slow, refuse or do not exist.
-
-Prefixes of other receivers, and frames that are too large, are tested as well.
-"""
+"""Receivers of OSC that are absent, slow, refuse or do not exist."""
 
 import dataclasses
 import socket
@@ -137,10 +134,7 @@ def test_a_large_frame_is_sent_in_several_datagrams(shape: tuple[int, int], coun
 
 
 def test_a_value_too_large_for_a_datagram_is_omitted_and_named_once() -> None:
-    """Maps of a panel, and the list of all that sucked during a long day.
-
-    The numbers of a frame come.
-    """
+    """Maps of a panel, and the list of all that sucked during a long day."""
     sentences = list[str]()
     detected = Detected("long", "cannot say", 0.5, why="x" * 70_000)
     view = dataclasses.replace(frame(ENORMOUS_PANEL).view, detected=detected)

@@ -1,7 +1,4 @@
-"""Hostile results for the C export.
-
-The results have invalid numbers, numbers of no panel, or configurations of no estimator.
-"""
+"""Hostile results for the C export."""
 
 import contextlib
 import dataclasses

@@ -1,7 +1,4 @@
-"""Values of other types at every public name.
-
-A value is refused in one sentence or accepted with its plain meaning.
-"""
+"""Values of other types at every public name."""
 
 import dataclasses
 import datetime

@@ -1,7 +1,4 @@
-"""Numbers of no real panel, and panels with almost no readings left.
-
-lampest answers in sentences about the panel, without a traceback.
-"""
+"""Numbers of no real panel, and panels with almost no readings left."""
 
 from collections.abc import Iterator
 from pathlib import Path

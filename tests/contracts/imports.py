@@ -1,7 +1,4 @@
-"""Files to import, their expected content, and the two checks of it.
-
-The module holds no test.
-"""
+"""Files to import, their expected content, and the two checks of it."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Advice: suggestions beyond the scene that a recording supports.
-
-A suggestion has its evidence, and appears where a user asks.
-"""
+"""Advice: suggestions beyond the scene that a recording supports."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -95,10 +92,7 @@ def test_apply_writes_the_lines_into_the_scene(
 def test_printed_entries_replace_those_of_the_scene(
     readout: lampest.Readout, dead_row: int | None, tmp_path: Path, lampest: Command
 ) -> None:
-    """Pasted over the entries of the same names they make the scene that --apply writes.
-
-    Health and verdict stand above them. --apply keeps the file before, and overwrites no other.
-    """
+    """Pasted over the entries of the same names they make the scene that --apply writes."""
     path = written(tmp_path / "mine.h5", dead_row, readout)
     original = path.read_bytes()
     earlier = tmp_path / "mine.before.h5"

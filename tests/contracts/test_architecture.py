@@ -403,10 +403,7 @@ def test_every_module_is_reached_from_the_command_or_the_public_face() -> None:
 
 @pytest.mark.parametrize("room", sorted(ROOMS))
 def test_imports_form_no_cycle(room: str) -> None:
-    """There is no cycle, not even for type checkers.
-
-    Modules of a room can be put in an order in which each needs those before it.
-    """
+    """There is no cycle, not even for type checkers."""
     inside = [module for module in modules() if f"{module}.".startswith(f"lampest.{room}.")]
     needs = {module: set(needed(module)) & set(inside) for module in inside}
     ready: set[str] = set()

@@ -291,10 +291,7 @@ def test_named_paths_exist() -> None:
 
 @pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
-    """Every link inside it leads somewhere, and everything that its pages show has run.
-
-    Nothing was fetched.
-    """
+    """Every link inside it leads somewhere, and everything that its pages show has run."""
     command = (
         sys.executable,
         "-m",

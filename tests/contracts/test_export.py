@@ -1,7 +1,4 @@
-"""`lampest export`: every format holds the content of a results file.
-
-The format's own library reads it.
-"""
+"""`lampest export`: every format holds the content of a results file."""
 
 import csv
 import dataclasses

@@ -1,7 +1,4 @@
-"""The public face: every name is there, typed, and cheap until it is used.
-
-Wrong use is one sentence; defaults are here, too.
-"""
+"""The public face: every name is there, typed, and cheap until it is used."""
 
 import ast
 import doctest

@@ -1,7 +1,4 @@
-"""Films that remember, and responses from known loads, as a user meets them.
-
-A user meets them in files, commands, results, sentences.
-"""
+"""Films that remember, and responses from known loads, as a user meets them."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Readings that are missing, at a rail or beyond the bounds.
-
-lampest accepts these readings, and mentions them in its sentences.
-"""
+"""Readings that are missing, at a rail or beyond the bounds."""
 
 import csv
 import dataclasses
@@ -88,10 +85,7 @@ def test_a_batch_skips_only_the_truncated_file(tmp_path: Path, lampest: Command)
 
 @pytest.mark.slow
 def test_errors_and_coverage_count_intact_cells(tmp_path: Path, lampest: Command) -> None:
-    """A report compares two estimators on a panel.
-
-    The panel has a hole, an open and a shorted cell and a dead row.
-    """
+    """A report compares two estimators on a panel."""
     places = tuple(
         (*place, 10.0 * place[1], 10.0 * place[0]) for place in np.ndindex(6, 6) if place != (0, 0)
     )
@@ -180,10 +174,7 @@ def solved(
 
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
 def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
-    """Without noise a millionth counts, above and below.
-
-    A bound that holds nothing back changes no word.
-    """
+    """Without noise a millionth counts, above and below."""
     unloaded = cells()
     loaded = cells()
     loaded[1, 2] = 9000.0
@@ -201,10 +192,7 @@ def test_the_status_names_a_bound_that_cells_exceed(formulation: str) -> None:
 
 
 def test_the_status_ignores_a_bound_exceeded_within_the_noise() -> None:
-    """A cell beyond the resolution of the converter takes less than σ from its reading.
-
-    Many such cells take more.
-    """
+    """A cell beyond the resolution of the converter takes less than σ from its reading."""
     unloaded = cells()
     open_cell = cells()
     open_cell[2, 3] *= 1e6

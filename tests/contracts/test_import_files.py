@@ -1,7 +1,4 @@
-"""Arrays, sheets and archives, files that no reader takes, and scenes beside a file.
-
-Bare arrays, and the command, are tested here as well.
-"""
+"""Arrays, sheets and archives, files that no reader takes, and scenes beside a file."""
 
 import datetime
 import io

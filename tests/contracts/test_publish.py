@@ -1,7 +1,4 @@
-"""`lampest live` without a board: the library of each way of `--publish` receives it.
-
-No receiver delays frames.
-"""
+"""`lampest live` without a board: the library of each way of `--publish` receives it."""
 
 import gc
 import json

@@ -1,7 +1,4 @@
-"""The results file: its content is read as it was written, and other programs open it.
-
-Texts beside numbers, and faults in one sentence, are tested here as well.
-"""
+"""The results file: its content is read as it was written, and other programs open it."""
 
 import dataclasses
 import os

@@ -1,7 +1,4 @@
-"""Runs from end to end: skipped, resumed, overridden and finished cases.
-
-The cases run in this process and in others.
-"""
+"""Runs from end to end: skipped, resumed, overridden and finished cases."""
 
 import fcntl
 import os
@@ -76,10 +73,7 @@ def test_a_second_run_solves_nothing_unless_fresh(disk: SimpleNamespace, lampest
 
 @pytest.mark.slow
 def test_changed_cases_are_solved_again(disk: SimpleNamespace, lampest: Command) -> None:
-    """Another weight: one case. Another recording of that name: all.
-
-    A damaged result, or another case's: that one.
-    """
+    """Another weight: one case. Another recording of that name: all."""
     out = disk.folder / "out"
     lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
     path = disk.run(disk.text.replace("weight: 1e-3", "weight: 2e-3"))

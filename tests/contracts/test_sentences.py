@@ -1,7 +1,4 @@
-"""Sentences about a beginner's mistakes, and about files that leave something open.
-
-A sentence names the mistake and its correction.
-"""
+"""Sentences about a beginner's mistakes, and about files that leave something open."""
 
 import re
 from collections.abc import Callable
@@ -350,13 +347,7 @@ CIRCUITS = [
 def test_the_contact_of_a_starter_mat_is_detected_and_its_readings_have_no_errors(
     circuit: str, tmp_path: Path, lampest: Command
 ) -> None:
-    """Cells that differ by 5 % pass for errors of the readings where crosstalk is small.
-
-    Pressed ones pass for outliers.
-
-    With amplifiers nothing but the cells' scatter tells such errors from cells, and changes do not
-    depend on them: an estimate within its deviation is none.
-    """
+    """Cells that differ by 5 % pass for errors of the readings where crosstalk is small."""
     words = ("--readout", circuit, "--rows", 10, "--columns", 6, "--purpose", "mat")
     assert lampest("init", tmp_path / "mine", *words)
     path = tmp_path / "mine" / "example.h5"

@@ -1,7 +1,4 @@
-"""The wheel, and the sdist with all tests, in the hands of a stranger.
-
-The locks of the build are tested as well.
-"""
+"""The wheel, and the sdist with all tests, in the hands of a stranger."""
 
 import os
 import re

@@ -1,7 +1,4 @@
-"""Impossible words of commands, and a full disk.
-
-A command refuses impossible words with exit code 2 and one sentence, and writes nothing.
-"""
+"""Impossible words of commands, and a full disk."""
 
 import errno
 import gc
@@ -71,10 +68,7 @@ def full(monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
 def test_a_full_disk_keeps_the_cases_that_fit(
     disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cases that do not fit have failed.
-
-    If only all of them together do not, they are collected once there is room.
-    """
+    """Cases that do not fit have failed."""
     run = disk.folder / "run.yaml"
     out = disk.folder / "out"
     for suffix, codes in ((".h5", (2, 3)), ("results.h5", (2,))):

@@ -1,7 +1,4 @@
-"""Inputs of every kind that are nearly right: number n is always the same input.
-
-A mutant is a good file after one to four changes: to its bytes, to its lines, or to what it says.
-"""
+"""Inputs of every kind that are nearly right: number n is always the same input."""
 
 import copy
 import io

@@ -1,7 +1,4 @@
-"""Recordings that go or change during a run, and runs that are killed.
-
-Finished cases stay, are right, and resume.
-"""
+"""Recordings that go or change during a run, and runs that are killed."""
 
 import shutil
 from pathlib import Path
@@ -19,10 +16,7 @@ from lampest import Recording, read_results
 def test_a_recording_lost_or_changed_during_a_run_costs_only_its_own_cases(
     tmp_path: Path, replaced: bool
 ) -> None:
-    """Cases of a deleted recording fail with a sentence each.
-
-    No result of a replaced one holds the new numbers.
-    """
+    """Cases of a deleted recording fail with a sentence each."""
     cases = batch(tmp_path, 12)
     out = tmp_path / "out"
     previous = Recording.load(tmp_path / "two.h5").readings().value[1:]

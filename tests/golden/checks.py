@@ -687,10 +687,7 @@ def breathing_row() -> dict[str, Any]:
 
 
 def patterns_row() -> list[Any]:
-    """Swings of a mouth beside a rod in air and under water, in readings.
-
-    Changes that the water explains are there as well.
-    """
+    """Swings of a mouth beside a rod in air and under water, in readings."""
     verdict, frame = verdict_of("two")
     rng = np.random.default_rng(3)
     value = frame.measured.ravel()
@@ -724,10 +721,7 @@ def watch_begun() -> tuple[Watch, lp.Readings]:
 
 
 def recognised_row() -> list[Any]:
-    """A watch that recognises a rod, a faint one, nothing, or a rod that left before.
-
-    The watch looks at once or again.
-    """
+    """A watch that recognises a rod, a faint one, nothing, or a rod that left before."""
     verdict, _ = verdict_of("rod")
     rows = list[Any]()
     initial, readings = watch_begun()
@@ -764,10 +758,7 @@ def recognised_row() -> list[Any]:
 
 
 def steps_row() -> list[Any]:
-    """A watch that follows noise, a rod, a harder press that ends, and the end of the rod.
-
-    Frames are held against it.
-    """
+    """A watch that follows noise, a rod, a harder press that ends, and the end of the rod."""
     verdict, _ = verdict_of("rod")
     rng = np.random.default_rng(6)
     rows = list[Any]()
@@ -829,10 +820,7 @@ def steps_row() -> list[Any]:
 
 
 def swings_row() -> list[Any]:
-    """Windows of a mouth beside a rod that are too short, partial and full.
-
-    Samples of its suction are there as well.
-    """
+    """Windows of a mouth beside a rod that are too short, partial and full."""
     verdict, frame = verdict_of("two")
     rng = np.random.default_rng(3)
     rows = list[Any]()
@@ -936,10 +924,7 @@ def state_of(state: Watch) -> list[Any]:
 
 
 def opened_row() -> list[Any]:
-    """A watch over modules of different pasts, one of them dead.
-
-    With it come the states that it leaves when windows close.
-    """
+    """A watch over modules of different pasts, one of them dead."""
     layout = Modules(2, 2, EachModule(3, 3))
     levels = np.array([3.0, 2.0, 1.5, 1.0])[:, None, None]
     watch, sigma = watch_over(layout, layout.joined(1e3 * levels * np.ones((4, 3, 3))), 3)
@@ -976,10 +961,7 @@ def opened_row() -> list[Any]:
 
 
 def image_row() -> list[Any]:
-    """A panel of modules, one of them dead.
-
-    A load over a seam comes, leaves, and another one comes to its place.
-    """
+    """A panel of modules, one of them dead."""
     layout = Modules(1, 4, EachModule(4, 4), seam_mm=4.0)
     resting = np.repeat([3000.0, 2000.0, 1500.0, 2500.0], 4) * np.ones((4, 1))
     loaded = resting.copy()
@@ -999,10 +981,7 @@ def image_row() -> list[Any]:
 
 
 def windows_row() -> Any:
-    """Windows about places of a panel of modules, and loads that two of them see.
-
-    Or they are loads that left before.
-    """
+    """Windows about places of a panel of modules, and loads that two of them see."""
     scene = lp.Scene(lp.Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), TWO, 140.0)
     rng = np.random.default_rng(9)
     places = (
@@ -1066,10 +1045,7 @@ def windows_row() -> Any:
 
 
 def answers_row() -> dict[str, Any]:
-    """Answers on loads: alone, together, gone, with breath and pumps.
-
-    The pumps have several probabilities, and the answers two frame rates.
-    """
+    """Answers on loads: alone, together, gone, with breath and pumps."""
     observed = Attachment(
         0.99,
         6.0,
@@ -1122,10 +1098,7 @@ def answers_row() -> dict[str, Any]:
 
 
 def attachments_row() -> Any:
-    """Loads that stay, leave, come or fade from one recognition to the next.
-
-    A load is alone, or many are drawn at random.
-    """
+    """Loads that stay, leave, come or fade from one recognition to the next."""
     rng = np.random.default_rng(5)
     courses = []
     frame: Any = None  # of loads whose cells are not known

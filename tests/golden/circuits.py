@@ -534,10 +534,7 @@ def pressure_row(scene: lp.Scene, tare: lp.Tare | None = None, failed: tuple[int
 
 
 def tare_row() -> list[Any]:
-    """New zeros of a panel whose deviations and memories, of several sizes, grow.
-
-    One frame is disturbed, and one cell fails.
-    """
+    """New zeros of a panel whose deviations and memories, of several sizes, grow."""
     rng = np.random.default_rng(2)
     rows = list[Any]()
     for size, memory_share in product((0.0, 0.003, 0.02, 0.07, 0.1), (0.0, 0.1, 0.5)):

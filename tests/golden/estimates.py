@@ -366,10 +366,7 @@ def on_resistors(
 
 
 def moved_resistors_row() -> dict[str, Any]:
-    """Calibrations of diodes, wires and a memory by resistors that move from cell to cell.
-
-    A row and a column have none.
-    """
+    """Calibrations of diodes, wires and a memory by resistors that move from cell to cell."""
     pull_ups = scenes()["wired pull-ups"]
     diode = replace(scenes()["diodes"].circuit, diode=lp.Diode(drop_volt=0.63), drive_ohm=20.0)
     cases: dict[str, tuple[lp.Scene, dict[str, Any]]] = {
@@ -392,10 +389,7 @@ def moved_resistors_row() -> dict[str, Any]:
 
 
 def refused_resistors_row() -> list[str]:
-    """Why recordings are no calibration; and some that are one.
-
-    The reasons are other resistors, none, equal ones, one, drift, hum.
-    """
+    """Why recordings are no calibration; and some that are one."""
     scene = scenes()["LoadedColumnsReadout"]
     known = np.full(PANEL.shape, np.inf)
     noisy = scenes()["noisy"]

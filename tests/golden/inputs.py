@@ -1,7 +1,4 @@
-"""Rows of inputs: arrays in Python, and the ranges of all public configurations.
-
-Files of other programs are in tests/contracts.
-"""
+"""Rows of inputs: arrays in Python, and the ranges of all public configurations."""
 
 import re
 import tempfile

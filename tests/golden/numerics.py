@@ -474,10 +474,7 @@ def batch_row() -> dict[str, Any]:
 
 
 def verdicts_row() -> dict[str, Any]:
-    """Verdicts of a check on outcomes of every status.
-
-    The outcomes are at the start, at an optimum, at worse points and without numbers.
-    """
+    """Verdicts of a check on outcomes of every status."""
     plain = point("plain")
     blind = point("penalty")
     heavy = Cost(PANEL, (lp.Misfit(), lp.Gradient(weight=1e12)))
@@ -593,10 +590,7 @@ def of_solvers() -> Rows:
 
 
 def model_row(cost: str, circuit: str, sampled: bool) -> dict[str, Any]:
-    """Errors of an estimate with all their parts.
-
-    The parts are those of frames before, and of readings that a frame shares.
-    """
+    """Errors of an estimate with all their parts."""
     at = point(cost, circuit)
     rng = np.random.default_rng(3)
     size = at.cell_resistance.size

@@ -981,10 +981,7 @@ def commands_row() -> dict[str, Any]:
 
 
 def described_row() -> dict[str, Any]:
-    """Descriptions of recordings with gaps, bounds, lines that touch, and modules.
-
-    Descriptions of scenes with every entry are here, too.
-    """
+    """Descriptions of recordings with gaps, bounds, lines that touch, and modules."""
     texts = {}
     known = {
         "untared": replace(simulated(), role=np.ones_like(simulated().role)),
@@ -1114,10 +1111,7 @@ def timeline_row() -> dict[str, Any]:
 
 
 def detected_results_row() -> list[Any]:
-    """Answers to results, and the content of the file.
-
-    The results are with noise that frames share, without noise, and of one frame.
-    """
+    """Answers to results, and the content of the file."""
     scene = replace(WATCHED, faults=lp.Faults(shorted=((0, 1),), dead_rows=(5,)))
     recording = lp.simulate(lp.Simulation(1, 3, WATCHED, frames=3, loads=ON_FILM["rod"][0]))
     readings = replace(recording, scene=scene).readings()

@@ -395,10 +395,7 @@ RESULTS: tuple[tuple[str, Any], ...] = (
 
 
 def damaged_row() -> dict[str, Any]:
-    """Sentences on recordings and results with other content.
-
-    Neither is read, nor is anything written.
-    """
+    """Sentences on recordings and results with other content."""
     rows: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         disk = on_disk(Path())
@@ -571,10 +568,7 @@ def interrupted_by(cause: BaseException) -> None:
 
 
 def process_row() -> dict[str, Any]:
-    """Words on errors and sizes, errors in a log, and memory that may be taken.
-
-    Words on outputs beside inputs are here, too.
-    """
+    """Words on errors and sizes, errors in a log, and memory that may be taken."""
     rows: dict[str, Any] = {
         "sizes": [in_bytes(10.0**n) for n in range(14)],
         "reasons": [],

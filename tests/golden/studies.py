@@ -243,10 +243,7 @@ IN_NO_TIME = {"inverse_time": lambda matrix: 1e-6}
 
 
 def budgeted_row() -> list[Any]:
-    """Benchmarks within three budgets, on a clock that solves advance.
-
-    The cost of a solve contains its seconds; some solves fail.
-    """
+    """Benchmarks within three budgets, on a clock that solves advance."""
     file = BenchFile(1, (3, (3, 4)), METHODS, 2, 2, 3, limits=bench.BenchLimits(nodal=3, joint=3))
     rows = []
     names = (

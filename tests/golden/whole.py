@@ -118,10 +118,7 @@ def noisy_start(seed: int) -> problem.Evaluation:
 
 
 def barrier_row() -> Any:
-    """The interior-point method from starts with most cells at a bound.
-
-    The cells are there by given bounds or by noise.
-    """
+    """The interior-point method from starts with most cells at a bound."""
     with large():
         begin = point("plain")
         data = replace(
@@ -234,10 +231,7 @@ SIMULATIONS = {
 
 
 def simulation_files_row(text: str) -> dict[str, Any]:
-    """Recordings of a simulation file, by default, to one file and to a folder.
-
-    Or it is why there are none.
-    """
+    """Recordings of a simulation file, by default, to one file and to a folder."""
     rows: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         for name in ("here", "files"):
@@ -333,10 +327,7 @@ STORED = ("shape", "dtype", "chunks", "compression", "shuffle", "fletcher32", "m
 
 
 def files_row() -> dict[str, Any]:
-    """How recordings and results are stored: types, chunks, filters and attributes.
-
-    Files that others added to are here, too.
-    """
+    """How recordings and results are stored: types, chunks, filters and attributes."""
     stored: dict[str, Any] = {"superblock": lookup3(bytes(range(48)))}
 
     def noted(path: str, node: Any) -> None:

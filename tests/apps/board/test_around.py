@@ -1,7 +1,4 @@
-"""Surroundings of the board: missing packages, ports, keys, and costs of its firmware.
-
-The firmware's README states the costs.
-"""
+"""Surroundings of the board: missing packages, ports, keys, and costs of its firmware."""
 
 import os
 import re

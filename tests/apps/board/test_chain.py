@@ -1,7 +1,4 @@
-"""Firmware → pseudo-terminal → record → file → cells, compared with the truth.
-
-The truth is on the simulated board's pins.
-"""
+"""Firmware → pseudo-terminal → record → file → cells, compared with the truth."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -52,10 +49,7 @@ def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_a_slowly_settling_line_carries_the_previous_cell_into_the_reading(tmp_path: Path) -> None:
-    """The simulated line has a time constant.
-
-    100 us leave e^-0.5 of a step at the first sample, 2 us leave nothing.
-    """
+    """The simulated line has a time constant."""
     cells = np.full((1, 2, 2), 1000.0)
     cells[0, 0, 0] = 10.0
     sums = []

@@ -1,7 +1,4 @@
-"""The C library of the estimate against the optimum of lampest.
-
-The library runs on the computer and on an emulated Cortex-M4F.
-"""
+"""The C library of the estimate against the optimum of lampest."""
 
 import ctypes
 import shutil
@@ -635,10 +632,7 @@ def test_the_smallest_sufficient_budget_is_chosen(lamprey):
 
 @pytest.mark.slow
 def test_a_first_touch_is_within_a_standard_deviation_after_two_frames():
-    """A rod that touches from one frame to the next.
-
-    The smallest budget of the median frame does not suffice for it.
-    """
+    """A rod that touches from one frame to the next."""
     estimate = lampest.reconstruct(lampest.datasets.load("rod"), formulation="reduced")
     case = unchecked_case(estimate, "smooth")
     constants = Constants.of(case)

@@ -1,7 +1,4 @@
-"""Faults of a board on a cable.
-
-The faults are damaged bytes, unplugging, resets, silence, a killed recorder and Ctrl-C.
-"""
+"""Faults of a board on a cable."""
 
 import subprocess
 import sys
@@ -40,10 +37,7 @@ def logged_frames(log: bytes) -> Iterator[tuple[Frame, bool]]:
 def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(
     tmp_path: Path, frames: int
 ) -> None:
-    """Recorded until the board has sent so many frames.
-
-    The log holds each byte sent, and whether it was hurt.
-    """
+    """Recorded until the board has sent so many frames."""
     cells = random_cells(np.random.default_rng(8), 40)
     hurt = (
         "--flip",

@@ -1,7 +1,4 @@
-"""Live skins of the package flexitac.
-
-The package's own reader, called by the code of the page, reads from a pseudo-terminal.
-"""
+"""Live skins of the package flexitac."""
 
 import os
 import termios

@@ -1,7 +1,4 @@
-"""Files whose writer was killed: read as far as they are whole.
-
-Damage in the files is detected, and repair drops it.
-"""
+"""Files whose writer was killed: read as far as they are whole."""
 
 import zlib
 from collections.abc import Callable

@@ -1,7 +1,4 @@
-"""Mats of the package matsense, live.
-
-The page's lines stand beside a server that answers as the package's own does.
-"""
+"""Mats of the package matsense, live."""
 
 import socket
 import struct

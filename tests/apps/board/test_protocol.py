@@ -1,7 +1,4 @@
-"""The wire protocol: messages arrive as sent, and damaged bytes never become a frame.
-
-Messages arrive whole or in single bytes, with garbage before and after.
-"""
+"""The wire protocol: messages arrive as sent, and damaged bytes never become a frame."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -114,10 +111,7 @@ def test_hello_and_answer_are_decoded_and_commands_are_not_messages() -> None:
 def test_cuts_and_surrounding_garbage_lose_no_frame(
     sent: list[Frame], before: bytes, after: bytes, data: st.DataObject
 ) -> None:
-    """However the line is cut into pieces, all frames arrive.
-
-    The garbage before has no zero in it or it may be cut.
-    """
+    """However the line is cut into pieces, all frames arrive."""
     wire = before + b"".join(message(frame_body(frame)) for frame in sent) + b"\0" + after
     receiver = Receiver()
     arrived = list[Frame]()
@@ -132,10 +126,7 @@ def test_cuts_and_surrounding_garbage_lose_no_frame(
 
 @given(frames(), st.data())
 def test_up_to_three_flipped_bits_are_noticed(frame: Frame, data: st.DataObject) -> None:
-    """CRC-16/CCITT has a distance of 4 at these lengths.
-
-    Changed COBS codes almost never end with the data as well.
-    """
+    """CRC-16/CCITT has a distance of 4 at these lengths."""
     wire = bytearray(message(frame_body(frame)))
     bits = data.draw(st.sets(st.integers(8, 8 * len(wire) - 9), min_size=1, max_size=3))
     for bit in bits:
@@ -175,10 +166,7 @@ def test_impossible_content_with_a_right_crc_is_garbage() -> None:
 
 
 def test_estimates_are_decoded_and_impossible_ones_are_garbage() -> None:
-    """A board with a bit turned in its numbers has sent no estimate rather than a wrong one.
-
-    The bit turned unseen by the CRC.
-    """
+    """A board with a bit turned in its numbers has sent no estimate rather than a wrong one."""
     change = np.linspace(-27, 27, 256, dtype=np.float32).reshape(16, 16)
     (estimate,) = received(message(estimate_body(Estimate(3, 2**32 - 1, change))))
     assert isinstance(estimate, Estimate) and (estimate.outcome, estimate.sequence) == (

@@ -1,7 +1,4 @@
-"""The board's C and the host's Python say the same.
-
-That is numbers, framing, CRC, messages, scan order, answers, wiring.
-"""
+"""The board's C and the host's Python say the same."""
 
 import ctypes
 import re
@@ -371,10 +368,7 @@ def test_differences_between_scene_and_board_are_named() -> None:
 
 
 def test_hello_contains_the_wiring() -> None:
-    """Earlier firmware, whose HELLO has 29 bytes, has two multiplexers.
-
-    A wiring never heard of is no board.
-    """
+    """Earlier firmware, whose HELLO has 29 bytes, has two multiplexers."""
     greeting = hello()
     assert (greeting.wiring, greeting.reference_milliohm, greeting.drive_milliohm) == (
         WIRING,

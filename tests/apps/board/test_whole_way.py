@@ -1,7 +1,4 @@
-"""A board that estimates, from its pins to the commands record, info and live.
-
-The board's sketch is compiled for this computer.
-"""
+"""A board that estimates, from its pins to the commands record, info and live."""
 
 import dataclasses
 import itertools
@@ -76,10 +73,7 @@ def recorded(exported, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_recording_holds_sums_and_the_estimates_of_the_library(
     exported, recorded: Path
 ) -> None:
-    """The board takes its baseline from the unloaded frames.
-
-    The numbers are those of this computer's C, to the bit.
-    """
+    """The board takes its baseline from the unloaded frames."""
     _, budget, case = exported
     recording = Recording.load(recorded)
     with h5py.File(recorded) as file:
@@ -173,10 +167,7 @@ def test_a_baseline_under_load_is_named_and_the_old_one_stays(exported, tmp_path
 
 
 def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None:
-    """A damaged message is lost as a whole.
-
-    A frame without its estimate is a frame, and none has another's.
-    """
+    """A damaged message is lost as a whole."""
     cells = np.repeat(CELLS[-1:], 60, axis=0) * np.exp(0.05 * np.arange(60))[:, None, None]
     cells[:UNLOADED_FRAMES] = CELLS[0]
     with portable_bench(tmp_path, exported[0], cells, "--flip", 1e-3, "--seed", 3) as board:
@@ -196,10 +187,7 @@ def test_damaged_estimates_never_spoil_a_frame(exported, tmp_path: Path) -> None
 
 
 def test_boards_without_an_estimate_record_as_usual(exported, tmp_path: Path) -> None:
-    """The Mega does not know the command.
-
-    Constants of another size leave the estimating board a plain one.
-    """
+    """The Mega does not know the command."""
     (tmp_path / "mega").mkdir()
     with bench(tmp_path / "mega", CELLS[:1]) as board:
         record(Listening((board.port,), scene=SCENE, baseline=1), tmp_path / "mega.h5", frames=2)

@@ -567,10 +567,7 @@ def test_the_next_board_leads_during_the_absence_of_the_first() -> None:
 
 
 def test_a_board_is_waited_for_until_it_is_late() -> None:
-    """A part that began 0.4 periods before belongs to the frame.
-
-    The second board leads once the first is late.
-    """
+    """A part that began 0.4 periods before belongs to the frame."""
     alignment = Alignment(2)
     late = 1.5 * PERIOD + LATE_SECONDS
     for board, at in enumerate((0.0, -0.4 * PERIOD)):
@@ -588,10 +585,7 @@ def test_a_board_is_waited_for_until_it_is_late() -> None:
 
 
 def test_a_returning_board_is_shown_at_any_phase() -> None:
-    """Frames of the returning board arrive after those of the leading one.
-
-    The leading one must wait for them again.
-    """
+    """Frames of the returning board arrive after those of the leading one."""
     for phase in (0.0, 0.1, 0.2, 0.4):
         times = [(board, n, (n + phase * board) * PERIOD) for n in range(40) for board in range(2)]
         delivered = images(
@@ -672,10 +666,7 @@ def test_images_of_boards_survive_a_clock_that_is_set(monkeypatch: pytest.Monkey
 
 
 def test_boards_form_one_image_that_names_absent_boards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second board lacks the frames 2 and 3, and the third hangs.
-
-    The third is opened anew and says that it lost two frames.
-    """
+    """The second board lacks the frames 2 and 3, and the third hangs."""
     boards = {name: [sent(number, 5 + number * PERIOD) for number in range(6)] for name in "abcd"}
     del boards["b"][2:4]
     later = [replace(sample, lost=2, events=(CLOCK_JUMPED,)) for sample in boards["c"][4:]]

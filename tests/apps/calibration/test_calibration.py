@@ -154,10 +154,7 @@ def pulls(calibration: ResistorCalibration, board: Board) -> list[float]:
 @pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_resistors_of_several_values_determine_every_number_of_every_line(kind: str) -> None:
-    """The error of each line agrees with its σ, and the scene states both.
-
-    Resistors and reference have a tolerance of 0.1 %.
-    """
+    """The error of each line agrees with its σ, and the scene states both."""
     rng = np.random.default_rng(KINDS.index(kind))
     shape = (4, 5)
     board = random_board(kind, shape, rng)
@@ -184,10 +181,7 @@ def test_resistors_of_several_values_determine_every_number_of_every_line(kind: 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_sound_calibrations_are_accepted_and_within_their_deviations(kind: str) -> None:
-    """No calibration is refused, and errors are as large as stated.
-
-    The 50 boards, sets of 1 % resistors and counts of 3 to 12 frames are random.
-    """
+    """No calibration is refused, and errors are as large as stated."""
     scores = []
     for seed in range(50):
         rng = np.random.default_rng([seed, KINDS.index(kind)])
@@ -301,10 +295,7 @@ def test_recordings_that_do_not_determine_a_circuit_are_refused() -> None:
 
 @pytest.mark.slow
 def test_error_bars_of_gains_and_curve_contain_the_truth() -> None:
-    """The fit is tested alone, on data that obey its assumptions.
-
-    The 40 films have 60 cells under 4 pressures each.
-    """
+    """The fit is tested alone, on data that obey its assumptions."""
     rng = np.random.default_rng(3)
     gains = []
     curves = []
@@ -353,10 +344,7 @@ def test_one_pressure_leaves_larger_pressures_of_another_film_open() -> None:
 
 
 def test_cells_under_the_edge_of_a_foot_do_not_make_a_load_odd() -> None:
-    """One load of 24 stands aside.
-
-    Cells at its edge feel half as much, which its place leaves open.
-    """
+    """One load of 24 stands aside."""
     pressure = np.tile([5.0, 5.0, 2.0, 2.0], (24, 1))
     place = np.where(pressure == 2.0, 1.0, 0.0)
     felt = pressure.copy()

@@ -162,10 +162,7 @@ def of_truth(recording: Recording, end: int | None = None) -> tuple[Pressure, Ar
 
 
 def test_a_specified_film_is_corrected() -> None:
-    """A quarter of full scale remains where the scene is silent, a fiftieth where it tells.
-
-    Frames see moments only.
-    """
+    """A quarter of full scale remains where the scene is silent, a fiftieth where it tells."""
     for specified, worst in ((TRUE_FILM, MAX_ERROR), (None, np.inf)):
         pressed, truth = of_truth(pressed_film(TRUE_FILM, specified))
         error = np.abs(pressed.pressure - truth).max() / truth.max()
@@ -284,10 +281,7 @@ def pressures(
 
 @pytest.mark.parametrize("stays", [0.0, 0.02])
 def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
-    """A load leaves after ten frames, its memory stays, and a small load follows.
-
-    Changes have errors of a thousandth.
-    """
+    """A load leaves after ten frames, its memory stays, and a small load follows."""
     ratio = np.full((30, 3, 3), 0.3)
     ratio[:3] = 1.0
     ratio[10:25] = 0.3**stays
@@ -301,10 +295,7 @@ def test_the_remaining_memory_of_the_film_presses_nowhere(stays: float) -> None:
 
 
 def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None:
-    """The conductance of untouched cells rises by 1 % a minute.
-
-    Changes have errors of a thousandth.
-    """
+    """The conductance of untouched cells rises by 1 % a minute."""
     time = np.arange(0.0, 300.0, 20.0)
     ratio = np.exp(-0.01 * time / 60)[:, None, None] * np.ones((2, 2))
     with_film, without_film = (
@@ -324,10 +315,7 @@ def test_the_drift_of_a_film_presses_nowhere_and_widens_its_error_bars() -> None
 def test_an_attached_load_is_never_taken_for_the_zero(
     load: Shape, approach: float, seed: int, film: Film | None
 ) -> None:
-    """True cells drift and have noise of 0.7 %.
-
-    A load is attached once it has reached 0.1 kPa anywhere.
-    """
+    """True cells drift and have noise of 0.7 %."""
     course = Course(start_s=ARRIVES, approach_s=approach, release_at_s=LEAVES, release_s=1)
     scene = Scene(
         Panel(6, 6), TwoPointReadout(adc_bits=12), 140.0, film=film, response=PublishedResponse()

@@ -1,7 +1,4 @@
-"""Pressure from resistance against pressures put in.
-
-Round trips, coverage of the interval, flags and open ends are tested.
-"""
+"""Pressure from resistance against pressures put in."""
 
 import dataclasses
 

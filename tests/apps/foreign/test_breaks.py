@@ -1,7 +1,4 @@
-"""Lost and doubled lines of files without marks between their frames, and cut frames.
-
-Wrong frames are never imported: a break is detected and named, or the import asks.
-"""
+"""Lost and doubled lines of files without marks between their frames, and cut frames."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""The page of `lampest live` in Chromium, with a board behind it.
-
-The screenshot is left at results/live_screenshot.png.
-"""
+"""The page of `lampest live` in Chromium, with a board behind it."""
 
 import os
 import signal
@@ -289,10 +286,7 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
 
 @pytest.mark.slow
 def test_a_plugged_in_board_raises_the_alarm(tmp_path: Path) -> None:
-    """A board that was plugged in before the start raises the alarm.
-
-    The mouth arrives later and breathes by 8 % at 1.1 Hz.
-    """
+    """A board that was plugged in before the start raises the alarm."""
     watched = "return document.getElementById('sentence').innerText"
     rng = np.random.default_rng(5)
     panel = Panel(10, 10)
@@ -317,10 +311,7 @@ def test_a_plugged_in_board_raises_the_alarm(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_button_records_the_frames_of_the_port(tmp_path: Path) -> None:
-    """Recordings begin with the unloaded frames and go to the working folder.
-
-    A second one is another file.
-    """
+    """Recordings begin with the unloaded frames and go to the working folder."""
     cells, _ = truth_of(LAMPREY)
     script = "return document.getElementById('recorded').innerText"
     press = "document.getElementById('record').click()"

@@ -1,7 +1,4 @@
-"""The live engine, without a board and without a browser.
-
-Memory and open files of what runs for weeks are tested too.
-"""
+"""The live engine, without a board and without a browser."""
 
 import dataclasses
 import json
@@ -88,10 +85,7 @@ def of_every_frame(name: str) -> Estimator:
 def test_findings_of_the_other_process_reach_later_frames(
     lamprey: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Weights, lower minima and error bars.
-
-    A load that stays is soon seen as by an engine that waits for them.
-    """
+    """Weights, lower minima and error bars."""
     monkeypatch.setattr(engine_module, "BARS_SECONDS", 0.0)
     lies = dataclasses.replace(lamprey, recorded=lamprey.recorded[[0, 1, 2, *(6 * [8])]])
     *_, waited = pictures(METHODS["smooth"], lies)

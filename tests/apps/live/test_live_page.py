@@ -1,7 +1,4 @@
-"""The live page's server: views, guests, addresses and tokens.
-
-What the page itself may ask for is tested too.
-"""
+"""The live page's server: views, guests, addresses and tokens."""
 
 import contextlib
 import dataclasses

@@ -1,7 +1,4 @@
-"""Listeners: who is admitted; from those that never read nothing piles up.
-
-Frames go on, and the end is not held up.
-"""
+"""Listeners: who is admitted; from those that never read nothing piles up."""
 
 import gc
 import json

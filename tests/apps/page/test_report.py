@@ -88,10 +88,7 @@ def test_the_advice_says_that_two_recordings_are_few() -> None:
 
 
 def test_parts_widen_the_interval_of_correlated_frames() -> None:
-    """For x_t = 0.8 x_{t−1} + e the mean varies 1.8/0.2 = 9 times as much.
-
-    The comparison is with that of independent frames.
-    """
+    """For x_t = 0.8 x_{t−1} + e the mean varies 1.8/0.2 = 9 times as much."""
     held = np.zeros(2)
     for noise in np.random.default_rng(3).standard_normal((SERIES, 300)):
         series = lfilter([1.0], [1.0, -0.8], noise)[100:]
@@ -108,10 +105,7 @@ def with_change(estimator: str, change: float, below: float, above: float) -> Ca
 
 
 def test_estimates_differ_where_their_joint_interval_excludes_zero() -> None:
-    """Two normal errors of 3 and 4: the difference has 5.
-
-    Unequal arms: those that face each other count.
-    """
+    """Two normal errors of 3 and 4: the difference has 5."""
     for change, expected in ((1.96 * 5 + 0.01, True), (1.96 * 5 - 0.01, False)):
         pair = disagreements(
             [

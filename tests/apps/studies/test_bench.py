@@ -1,7 +1,4 @@
-"""The benchmark, random mats and the solvers that judge ours: scipy's and published ones.
-
-No time is asserted.
-"""
+"""The benchmark, random mats and the solvers that judge ours: scipy's and published ones."""
 
 from dataclasses import replace
 from itertools import product

@@ -1,7 +1,4 @@
-"""The trade-off on tiny panels, shipped files of studies, tables of pages, atlas of extremes.
-
-Times are no test.
-"""
+"""The trade-off on tiny panels, shipped files of studies, tables of pages, atlas of extremes."""
 
 from dataclasses import replace
 from itertools import count
