@@ -1,13 +1,12 @@
 """Rows of tables, pictures, messages and commands."""
 
-import io
 import json
 import os
 import re
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import chdir, redirect_stderr, redirect_stdout
+from contextlib import chdir
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
@@ -19,16 +18,16 @@ from unittest.mock import MagicMock, patch
 
 import h5py
 import numpy as np
+from attack.attack import called
 from golden.checks import ON_FILM, WATCHED, answer_row, detected, tiled
 from golden.circuits import COLD, FILM, Rows, cells_of
-from golden.estimates import ESTIMATORS, case_row, gapped, in_scene, simulated
+from golden.estimates import ESTIMATORS, gapped, in_scene, simulated
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from support import Patient, invented_case
 
 import lampest as lp
-from lampest import cli
 from lampest.apps.film.pressure import Force
 from lampest.apps.live import publish, watcher
 from lampest.apps.live.engine import Engine, with_picture
@@ -45,7 +44,7 @@ from lampest.apps.live.message import (
 )
 from lampest.apps.live.publish import publish_at
 from lampest.apps.live.run import METHODS as LIVE
-from lampest.apps.live.run import chosen, from_recording, scan_of
+from lampest.apps.live.run import from_recording, scan_of
 from lampest.apps.live.state import PanelState, solved_scan, verdict_of
 from lampest.apps.live.watcher import Scan, Unloaded, Watched, in_one_batch
 from lampest.apps.page import compared, page
@@ -58,7 +57,6 @@ from lampest.apps.recognition.detect.timeline import timeline
 from lampest.files.process import in_bytes
 from lampest.panel.panel import EachModule, Modules
 from lampest.report import compare, plots, words
-from lampest.report.export import nwb
 from lampest.report.info import describe, shaded_map, text_map, understood_lines
 from lampest.report.plots import PLOTS, maps, style
 from lampest.report.reconstruction import Reconstruction
@@ -328,88 +326,66 @@ def page_row() -> dict[str, Any]:
     }
 
 
+def got(part: Any, *names: str) -> list[Any]:
+    return [getattr(part, f"get_{name}")() for name in names]
+
+
+def axes_row(axes: Axes) -> dict[str, Any]:
+    images = [*axes.images, *axes.collections]
+    coloured = [image for image in images if image.get_array() is not None]
+    legend = axes.get_legend()
+    return {
+        "labels": got(axes, "xlabel", "ylabel", "title", "xscale", "yscale"),
+        "limits": [*axes.get_xlim(), *axes.get_ylim()],
+        "ticks": got(axes, "xticks", "yticks"),
+        "texts": [
+            [*got(text, "text", "position", "size", "zorder"), str(text.get_color())]
+            for text in axes.texts
+        ],
+        "lines": [np.asarray(line.get_xydata(), dtype=float) for line in axes.lines],
+        "looks": [
+            got(line, "linewidth", "markersize", "zorder", "alpha")
+            + list(map(str, got(line, "color", "linestyle", "marker", "markerfacecolor")))
+            for line in axes.lines
+        ],
+        "offsets": [np.asarray(image.get_offsets(), dtype=float) for image in axes.collections],
+        "widths": [image.get_linewidths() for image in axes.collections],
+        "shapes": [
+            np.concatenate([path.vertices for path in image.get_paths()] or [np.zeros((0, 2))])
+            for image in axes.collections
+        ],
+        "patches": [[str(part), *got(part, "linewidth", "alpha")] for part in axes.patches],
+        "place": [
+            *axes.get_position().bounds,
+            axes.get_visible(),
+            axes.axison,
+            str(axes.get_facecolor()),
+        ],
+        "halos": [
+            [halo._gc for halo in part.get_path_effects() or ()]
+            for part in (*axes.texts, *axes.collections)
+        ],
+        "values": [
+            np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
+            for image in coloured
+        ],
+        "missing": [image.get_cmap().get_bad() for image in coloured],
+        "range": [image.get_clim() for image in coloured],
+        "legend": [text.get_text() for text in legend.get_texts()] if legend else [],
+    }
+
+
 def drawn_row(figure: Figure) -> dict[str, Any]:
     """The visible parts of a figure, and the numbers under them."""
-    rows = []
     figure.draw_without_rendering()
-    for axes in figure.findobj(Axes):
-        images = [*axes.images, *axes.collections]
-        rows.append(
-            {
-                "labels": [
-                    getattr(axes, f"get_{of}")()
-                    for of in ("xlabel", "ylabel", "title", "xscale", "yscale")
-                ],
-                "limits": [*axes.get_xlim(), *axes.get_ylim()],
-                "ticks": [axes.get_xticks(), axes.get_yticks()],
-                "texts": [
-                    (
-                        text.get_text(),
-                        text.get_position(),
-                        text.get_size(),
-                        text.zorder,
-                        str(text.get_color()),
-                    )
-                    for text in axes.texts
-                ],
-                "lines": [np.asarray(line.get_xydata(), dtype=float) for line in axes.lines],
-                "looks": [
-                    [
-                        getattr(line, f"get_{of}")()
-                        for of in ("linewidth", "markersize", "zorder", "alpha")
-                    ]
-                    + [
-                        str(getattr(line, f"get_{of}")())
-                        for of in ("color", "linestyle", "marker", "markerfacecolor")
-                    ]
-                    for line in axes.lines
-                ],
-                "offsets": [
-                    np.asarray(image.get_offsets(), dtype=float) for image in axes.collections
-                ],
-                "widths": [image.get_linewidths() for image in axes.collections],
-                "shapes": [
-                    np.concatenate(
-                        [path.vertices for path in image.get_paths()] or [np.zeros((0, 2))]
-                    )
-                    for image in axes.collections
-                ],
-                "patches": [
-                    [str(patch), patch.get_linewidth(), patch.get_alpha()] for patch in axes.patches
-                ],
-                "place": [
-                    *axes.get_position().bounds,
-                    axes.get_visible(),
-                    axes.axison,
-                    str(axes.get_facecolor()),
-                ],
-                "halos": [
-                    [halo._gc for halo in part.get_path_effects() or ()]
-                    for part in (*axes.texts, *axes.collections)
-                ],
-                "values": [
-                    np.ma.filled(np.ma.asarray(image.get_array(), dtype=float), np.nan)
-                    for image in images
-                    if image.get_array() is not None
-                ],
-                "missing": [
-                    image.get_cmap().get_bad() for image in images if image.get_array() is not None
-                ],
-                "range": [image.get_clim() for image in images if image.get_array() is not None],
-                "legend": [text.get_text() for text in axes.get_legend().get_texts()]
-                if axes.get_legend()
-                else [],
-            }
-        )
     words = [text.get_text() for text in figure.findobj(Text)]
-    legends = [
-        [legend.get_frame_on(), legend._ncols, legend._outside_loc] for legend in figure.legends
-    ]
     return {
-        "axes": rows,
+        "axes": list(map(axes_row, figure.findobj(Axes))),
         "size": figure.get_size_inches(),
         "words": "|".join(word for word in words if word),
-        "legends": legends,
+        "legends": [
+            [legend.get_frame_on(), legend._ncols, legend._outside_loc] for legend in figure.legends
+        ],
     }
 
 
@@ -868,8 +844,6 @@ def live_words_row() -> dict[str, Any]:
         ],
         "engines": engines,
         "methods": [(name, method.terms, method.method) for name, method in LIVE.items()],
-        "chosen": [chosen(name, None)[0] for name in (None, "LSM")],
-        "unknown": refusal(chosen, "LSX", None),
         "verdicts": verdicts,
         "alarms": alarms,
         "waiting": waiting,
@@ -921,63 +895,10 @@ def stored(path: Path) -> dict[str, Any]:
 
 
 def command(*words: str | Path) -> str:
-    """Return the output of a command."""
-    printed = io.StringIO()
-    with (
-        patch.object(sys, "argv", ["lampest", *map(str, words)]),
-        redirect_stdout(printed),
-        redirect_stderr(printed),
-    ):
-        try:
-            cli.main()
-        except SystemExit as end:
-            assert not end.code, printed.getvalue()
-    return printed.getvalue()
-
-
-def commands_row() -> dict[str, Any]:
-    """Files of the commands and their words, of a recording on the disk and of results."""
-    with tempfile.TemporaryDirectory() as name, chdir(name):
-        folder = Path(name)
-        simulated("outlier_probability").save(folder / "rod.h5")
-        run = "schema: 1\nrecordings: [rod.h5]\nestimators:\n"
-        run += "  mine: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 1.0}}}\n"
-        (folder / "run.yaml").write_text(
-            run + "sweep: {estimators.mine.terms.log_gradient.weight: [1, 10.0]}\nsolver: "
-            "{max_iterations: 200}\n"
-        )
-        texts = {
-            word: command(*words)
-            for word, words in {
-                "run": ("run", "run.yaml", "--jobs", "1", "--out", "out"),
-                "tare": ("tare", "rod.h5", "--frames", "4:6", "--out", "tared.h5"),
-                "info": ("info", "rod.h5"),
-                "info of results": ("info", "out/results.h5"),
-                "terms": ("show", "terms"),
-                "init": ("init", "mine", "--rows", "5", "--columns", "8"),
-                "detect": ("detect", "rod.h5", "--json"),
-                "detect results": ("detect", "out/results.h5", "--all", "--out", "out"),
-                "check": ("check", "rod.h5"),
-                "repair": ("check", "rod.h5", "--repair"),
-            }.items()
-        }
-        lp.write_results(folder / "invented.h5", invented())
-        texts["compare"] = command("compare", "invented.h5", "--csv", "table.csv")
-        texts["export"] = command("export", "invented.h5", "--to", "csv", "--recording", "mouth")
-        texts["csv"] = (folder / "table.csv").read_text()
-        texts["metadata"] = next(folder.glob("invented*-metadata.json")).read_text()
-        exported = next(folder.glob("invented*.csv")).read_text().splitlines()
-        texts["exported"] = "\n".join([*exported[:4], str(len(exported))])
-        texts["starter"] = "\n".join(
-            path.read_text() for path in sorted((folder / "mine").glob("*.yaml"))
-        )
-        tared = lp.Recording.load(folder / "tared.h5")
-        read = lp.read_results(folder / "out" / "results.h5").cases
-    plain = re.compile(r"case [0-9a-f]+|\d+ bytes|\d+ datasets|in \d.* s\b|/tmp/\S*")
-    return {word: plain.sub("…", text).replace(name, "") for word, text in texts.items()} | {
-        "tared": tared.role,
-        "read": [case_row(case) for case in read],
-    }
+    """Return the output of a command, which must succeed."""
+    completed = called(*words)
+    assert completed.code == 0, completed.err
+    return completed.out + completed.err
 
 
 def described_row() -> dict[str, Any]:
@@ -1145,36 +1066,6 @@ def detected_results_row() -> list[Any]:
     return [file, *(answer_row(answer) for answer in answers)]
 
 
-def nwb_row() -> list[Any]:
-    """Content of NWB sessions as their library receives it, with a measured subject and without."""
-    subject = lp.MeasuredSubject(
-        id="L7", species="Petromyzon marinus", length_mm=420.0, mass_g=150.0, note="calm"
-    )
-    people: tuple[dict[str, Any], ...] = (
-        {
-            "subject": subject,
-            "experiment": lp.Experiment("attached", "Doe, Jane", water_temperature_celsius=12.5),
-        },
-        {
-            "subject": lp.MeasuredSubject(),
-            "experiment": lp.Experiment(institution="a lake", note="early"),
-        },
-        {},
-    )
-    library = SimpleNamespace(
-        NWBFile=dict, TimeSeries=dict, Subject=dict, DynamicTable=dict, VectorData=dict
-    )
-    known = replace(invented()[0], start_time="2026-05-04T09:30:00+02:00")
-    sessions = list[Any]()
-    with patch.dict(sys.modules, dict.fromkeys(("pynwb", "pynwb.file", "hdmf.common"), library)):
-        for named in people:
-            session = nwb._session([replace(known, scene=replace(known.scene, **named))])
-            sessions.append(
-                {name: str(value) for name, value in session.items() if name != "notes"}
-            )
-        return [sessions, *(list(nwb._elements(known, shared=shared)) for shared in (True, False))]
-
-
 def fit_row() -> list[str]:
     fit = Reconstruction.of(simulated(), ESTIMATORS["auto"])
     bar = MagicMock()
@@ -1205,7 +1096,6 @@ def of_report() -> Rows:
             "page": page_row,
             "scales": scales_row,
             "message": message_row,
-            "nwb": nwb_row,
             "published": published_row,
             "words of live": live_words_row,
             "watched": watched_row,
@@ -1213,11 +1103,7 @@ def of_report() -> Rows:
             "replayed without roles": partial(
                 replayed_row, False, {"solver": lp.Settings(max_iterations=1)}
             ),
-            "commands": commands_row,
             "descriptions": described_row,
-            "long columns": lambda: {
-                name: series.values for name, series in invented()[0].long_columns().items()
-            },
             "report of a fit": fit_row,
             "pictures of files": pictured_row,
             "results that are watched": detected_results_row,

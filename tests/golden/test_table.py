@@ -96,7 +96,6 @@ SLOW_ROWS = {  # rows of a second or more on a busy machine
     "recognition detected ring",
     "recognition detected rod",
     "recognition detected two",
-    "report commands",
     "report descriptions",
     "report live smoother",
     "report pictures of files",

@@ -168,12 +168,25 @@ def lamprey(tmp_path_factory):
     return path, case
 
 
+def made(target, *variables):
+    """Return the lines that a target of the firmware's Makefile prints."""
+    words = ["make", "-s", "-C", str(FIRMWARE), *variables, target]
+    return subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+def with_vector(folder, constants, sums):
+    """Return a folder with constants and the frames of a test vector."""
+    folder.mkdir()
+    (folder / "panel_constants.h").write_text(header(constants, "panel", ()))
+    rows = ", ".join("{" + ", ".join(map(str, frame.ravel())) + "}" for frame in sums)
+    vector = f"static const uint32_t vector_sums[{len(sums)}][{sums[0].size}] = {{{rows}}};"
+    (folder / "test_vector.h").write_text(f"#define VECTOR_FRAMES {len(sums)}\n{vector}\n")
+    return folder
+
+
 def emulated(folder, build):
     """Return (instructions, log changes) of the frames of a sketch on the emulated Cortex-M4F."""
-    words = ["make", "-s", "-C", str(FIRMWARE), f"PANEL={folder}", f"BUILD={build}", "emulated"]
-    begin, *lines = subprocess.run(
-        words, capture_output=True, text=True, check=True
-    ).stdout.splitlines()
+    begin, *lines = made("emulated", f"PANEL={folder}", f"BUILD={build}")
     assert begin == f"begin {FINE}"
     fields = [line.split() for line in lines]
     bits = np.array([[int(number, 16) for number in frame[4:]] for frame in fields], np.uint32)
@@ -208,14 +221,10 @@ def test_sixteen_by_sixteen_cells_take_six_million_instructions_and_32_kilobytes
     scene = scene_of("grounded_one", 16, 16)
     _, case = solved_case(scene, [NOISY, lampest.LogGradient(weight=1.0)], error_bars=False)
     constants = Constants.of(case).within(Budget(2, 8, 0.0))
-    folder = tmp_path / "panel"
-    folder.mkdir()
-    (folder / "panel_constants.h").write_text(header(constants, "panel", ()))
     sums = constants.sums_of(case)[:2]
-    rows = ", ".join("{" + ", ".join(map(str, frame.ravel())) + "}" for frame in sums)
-    vector = f"#define VECTOR_FRAMES 2\nstatic const uint32_t vector_sums[2][256] = {{{rows}}};\n"
-    (folder / "test_vector.h").write_text(vector)
-    counted, changes = emulated(folder, tmp_path / "build")
+    counted, changes = emulated(
+        with_vector(tmp_path / "panel", constants, sums), tmp_path / "build"
+    )
     assert counted.max() < MAX_INSTRUCTIONS_OF_16_BY_16
     with compiled(constants) as host:
         estimates = host.frames(sums, constants.budget)
@@ -234,23 +243,8 @@ def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
     with compiled(constants) as host:
         estimates = host.frames(sums[:2], constants.budget)
         assert host.bytes < MAX_BYTES_OF_8_BY_8
-    (tmp_path / "panel_constants.h").write_text(header(constants, "panel", ()))
-    rows = ", ".join("{" + ", ".join(map(str, frame.ravel())) + "}" for frame in sums[:2])
-    vector = f"#define VECTOR_FRAMES 2\nstatic const uint32_t vector_sums[2][64] = {{{rows}}};\n"
-    (tmp_path / "test_vector.h").write_text(vector)
-    words = [
-        "make",
-        "-s",
-        "-C",
-        str(FIRMWARE),
-        f"PANEL={tmp_path}",
-        f"BUILD={tmp_path / 'build'}",
-        "FRAMES=2",
-        "CELLS=64",
-    ]
-    lines = subprocess.run(
-        [*words, "mega"], capture_output=True, text=True, check=True
-    ).stdout.splitlines()
+    folder = with_vector(tmp_path / "panel", constants, sums[:2])
+    lines = made("mega", f"PANEL={folder}", f"BUILD={tmp_path}", "FRAMES=2", "CELLS=64")
     *cycles, changes = [line for line in lines if not line.startswith("Loaded")]
     assert max(map(int, cycles)) / MEGA_HERTZ < MAX_SECONDS_OF_MEGA
     np.testing.assert_allclose(
@@ -262,8 +256,8 @@ def test_the_mega_estimates_eight_by_eight_cells_in_two_seconds(tmp_path):
 
 @pytest.mark.slow
 def test_the_library_takes_24_kilobytes_of_flash(tmp_path):
-    words = ["make", "-s", "-C", str(FIRMWARE), f"BUILD={tmp_path}", "estimate-size"]
-    assert int(subprocess.run(words, capture_output=True, text=True, check=True).stdout) < MAX_FLASH
+    (size,) = made("estimate-size", f"BUILD={tmp_path}")
+    assert int(size) < MAX_FLASH
 
 
 @pytest.mark.slow
@@ -359,30 +353,16 @@ def test_constants_that_are_not_numbers_are_refused(field, tmp_path):
     assert text.count("NAN") == 1
     (tmp_path / "panel_constants.h").write_text("#include <math.h>\n" + text)
     (tmp_path / "host.c").write_text(HOST)
-    library = built(tmp_path, "host.c")
+    library = ctypes.CDLL(str(built(tmp_path, "host.c")))
     assert library.host_begin(2, 8, ctypes.c_float(0.05)) == BAD_CONSTANTS
 
 
-def built(folder, *files):
-    """Return the shared library of C files in a folder and the library."""
-    words = [
-        "gcc",
-        "-std=c99",
-        "-O2",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-shared",
-        "-fPIC",
-        f"-I{folder}",
-    ]
-    parts = [str(folder / name) for name in files] + [
-        str(path) for path in sources() if path.suffix == ".c"
-    ]
-    subprocess.run(
-        [*words, f"-I{library_folder()}", *parts, "-lm", "-o", str(folder / "host.so")], check=True
-    )
-    return ctypes.CDLL(str(folder / "host.so"))
+def built(folder, *files, name="host.so", flags=("-O2", "-Wall", "-Wextra", "-Werror", "-shared")):
+    """Build C files of a folder with the library, and return the result."""
+    parts = [folder / file for file in files] + [path for path in sources() if path.suffix == ".c"]
+    words = ["gcc", "-std=c99", "-fPIC", *flags, f"-I{folder}", f"-I{library_folder()}"]
+    subprocess.run([*words, *map(str, parts), "-lm", "-o", str(folder / name)], check=True)
+    return folder / name
 
 
 FUZZ = """
@@ -425,21 +405,13 @@ int main(void) {
 """
 
 
-def sanitized(folder, program):
-    """Run a program on the library with the constants of a folder, under sanitizers."""
+def sanitized(folder, case, program):
+    """Run a program on the library with the constants of a case, under sanitizers."""
+    (folder / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
     (folder / "fuzz.c").write_text(program)
-    parts = [str(path) for path in sources() if path.suffix == ".c"]
-    words = [
-        "gcc",
-        "-std=c99",
-        "-O1",
-        "-g",
-        "-fsanitize=address,undefined",
-        "-fno-sanitize-recover=all",
-    ]
-    words += [f"-I{folder}", f"-I{library_folder()}", str(folder / "fuzz.c"), *parts, "-lm"]
-    subprocess.run([*words, "-o", str(folder / "fuzz")], check=True)
-    return subprocess.run([str(folder / "fuzz")], capture_output=True, text=True)
+    flags = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    fuzz = built(folder, "fuzz.c", name="fuzz", flags=flags)
+    return subprocess.run([str(fuzz)], capture_output=True, text=True)
 
 
 @promise(
@@ -457,8 +429,7 @@ def test_random_codes_never_give_nan_overruns_or_more_work_than_budgeted(circuit
         else lampest.LogGradient(weight=1.0)
     )
     _, case = solved_case(scene_of(circuit, cells=cells), [NOISY, term])
-    (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
-    completed = sanitized(tmp_path, FUZZ)
+    completed = sanitized(tmp_path, case, FUZZ)
     assert completed.returncode == 0, completed.stderr[:2000]
 
 
@@ -538,8 +509,7 @@ def test_wrong_constants_never_give_nan_overruns_or_more_work(circuit, tmp_path)
     _, case = solved_case(
         scene_of(circuit), [NOISY, lampest.LogRatio(loss=loss, weight=1e-3)], error_bars=False
     )
-    (tmp_path / "panel_constants.h").write_text(header(Constants.of(case), "panel", ()))
-    assert sanitized(tmp_path, CONSTANTS_FUZZ).returncode == 0
+    assert sanitized(tmp_path, case, CONSTANTS_FUZZ).returncode == 0
 
 
 @pytest.mark.slow

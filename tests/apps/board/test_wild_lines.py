@@ -21,7 +21,7 @@ from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
 from lampest.apps.board import several, stream
 from lampest.apps.board.journal import noise_from_repeats
 from lampest.apps.board.port import NoBoardError
-from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello, message
+from lampest.apps.board.protocol import Estimate, Frame, Garbage, Hello
 from lampest.apps.board.record import Progress, Recorded, _wanted, record
 from lampest.apps.board.recorder import Recorder
 from lampest.apps.board.sample import (
@@ -40,7 +40,6 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.converter import noise_of_variance
 from lampest.recording.acquisition import Acquisition
 from lampest.recording.recording import MEASURED, UNLOADED
-from tests.bodies import hello_body
 
 Sent = Iterator[tuple[float, bytes]]
 BOARD_SCENE = scene_of(IDLE, None)
@@ -89,21 +88,6 @@ LIMITS = (
 MAX_SECONDS = 15.0  # until a line is given up that is allowed one second without a valid frame
 
 
-def larger(hello: Hello) -> Sent:
-    """Well-formed frames of another size, as fast as the line takes them."""
-    return ((0.0, wire(hello, number, shape=(5, 5))) for number in itertools.count())
-
-
-def garbage(hello: Hello) -> Sent:
-    rng = np.random.default_rng(16)
-    return ((0.0, rng.bytes(400)) for _ in itertools.count())
-
-
-def restarts(hello: Hello) -> Sent:
-    """A board that says again and again that it does not scan."""
-    return itertools.repeat((0.0, message(hello_body(replace(hello, running=False)))))
-
-
 def replayed(hello: Hello) -> Sent:
     """Twenty frames, then the first ten of them for ever."""
     return (
@@ -126,13 +110,9 @@ def silent(frames: int) -> Script:
     return lambda hello: ((0.01, wire(hello, number)) for number in range(frames))
 
 
-UNFIT = r"nothing fit for \d+ s, though the line is not silent \(\d+ "
 # What a line sends when ten frames are requested, the sentence, and how many frames are in the
 # file.
 USELESS: tuple[tuple[Script, str, int], ...] = (
-    (larger, UNFIT + "frames of another size", 0),
-    (garbage, UNFIT + "pieces that are no message", 0),
-    (restarts, UNFIT + "answers", 0),
     (replayed, r"nothing fit .* frames out of order\); the 20 frames that came before are in", 20),
     (silent(0), r"no frame came for \d s", 0),
     (silent(5), r"no frame came for \d s; the 5 frames", 5),

@@ -1,5 +1,6 @@
 """The second hour of a board: garbled frames, metal objects, a film that drifts."""
 
+import ctypes
 import re
 from dataclasses import fields
 from functools import cache
@@ -329,4 +330,5 @@ def test_constants_of_another_version_are_refused(tmp_path):
     (tmp_path / "host.c").write_text(HOST)
     from apps.board.test_estimate import built
 
-    assert built(tmp_path, "host.c").host_begin(2, 8, 0) == OTHER_VERSION
+    library = ctypes.CDLL(str(built(tmp_path, "host.c")))
+    assert library.host_begin(2, 8, 0) == OTHER_VERSION
