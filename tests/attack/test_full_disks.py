@@ -1,4 +1,4 @@
-"""A disk that is full, fails, or loses the file while a board is recorded."""
+"""A disk that is full, frozen, fails, or loses the file while a board is recorded."""
 
 import errno
 import itertools
@@ -8,6 +8,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +27,8 @@ from lampest.apps.board.sample import Listening
 from lampest.apps.board.stream import board_samples
 
 FRAMES = 100
+FROZEN_S = 2.0
+FROZEN_CALL = 20  # the write to the disk that takes so long
 COMMAND = (sys.executable, "-c", "from lampest.cli import main; main()")
 SMALL_DISK = "2000k"
 FILLED_UP_TO = 16_384  # bytes that remain: for a part of the rewriting, not for all of it
@@ -230,3 +233,22 @@ def test_the_page_says_that_the_disk_is_full(
     ending = re.fullmatch(r"recorded (\d+) frames: .*r\.h5; no space: .*", sentences[-1])
     assert ending is not None, sentences[-1]
     check_frames(tmp_path / "r.h5", int(ending[1].replace(",", "")))
+
+
+@pytest.mark.slow
+def test_a_disk_frozen_for_seconds_costs_no_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames wait in the port meanwhile, as where a network disk's server is busy."""
+    append: Callable[..., None] = journal.Journal.append
+    calls = itertools.count()
+
+    def stalled(growing: journal.Journal, *arguments: Any) -> None:
+        if next(calls) == FROZEN_CALL:
+            time.sleep(FROZEN_S)
+        append(growing, *arguments)
+
+    monkeypatch.setattr(journal.Journal, "append", stalled)
+    summary = recorded(tmp_path / "r.h5", 3 * FRAMES)
+    assert (summary.frames, summary.lost) == (3 * FRAMES, 0) and next(calls) > FROZEN_CALL
+    check_frames(tmp_path / "r.h5", 3 * FRAMES)

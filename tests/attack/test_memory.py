@@ -24,7 +24,6 @@ from fuzz.mutants import good_recordings
 from lampest.files import process
 
 pytestmark = pytest.mark.slow
-ULIMITS = 450_000, 500_000, 512_000, 600_000  # KiB of addresses
 TOO_FEW_ADDRESSES = "not enough memory", "of addresses are needed", "ulimit -v"
 JOBS = "run", "run.yaml", "--jobs", "2", "--out", "out"
 # of a command; with its libraries it has 150, and machines have other things to do
@@ -143,18 +142,6 @@ def test_a_tight_address_limit_gives_one_sentence_without_waiting(
         completed = _within_addresses(limit, *commands[number % 3], folder=work_folder)
         sufficient = limit >= process.ADDRESS_SPACE
         yield completed.survived() if sufficient else completed.refused(*TOO_FEW_ADDRESSES)
-
-
-@attack(len(ULIMITS), len(ULIMITS))
-def test_a_run_under_an_address_limit_ends(rng: Rng, folder: Path, count: int) -> Outcomes:
-    work_folder = small_folder(folder / "work")
-    with (work_folder / "run.yaml").open("a") as run:
-        # Two cases, so that there are two processes.
-        run.write("sweep: {solver.tolerance: [1e-8, 1e-9]}\n")
-    for kibibytes in ULIMITS:
-        yield _within_addresses(kibibytes * 1024, *JOBS, folder=work_folder).refused(
-            *TOO_FEW_ADDRESSES
-        )
 
 
 def _within_addresses(limit: int, *arguments: str, folder: Path) -> CompletedCommand:

@@ -112,20 +112,3 @@ def test_an_interrupt_while_a_command_loads_is_no_traceback(folder: Path, after:
         process.send_signal(signal.SIGINT)
         error = process.communicate(timeout=120)[1].decode()
     assert "Traceback" not in error and process.returncode in (0, 130, -signal.SIGINT)
-
-
-@pytest.mark.slow
-def test_an_interrupt_at_the_start_meets_no_code_of_the_package(folder: Path) -> None:
-    """The first lines of the command make Ctrl-C silent; Python's own start is before them."""
-    script = folder.parent / "lampest"
-    script.write_bytes(
-        INSTALLED.read_bytes().replace(b"#!python", b"#!" + os.fsencode(sys.executable))
-    )
-    script.chmod(0o755)
-    for number in range(20):
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        with subprocess.Popen([script, "--help"], cwd=folder, **pipes) as process:
-            time.sleep(0.005 * number)
-            process.send_signal(signal.SIGINT)
-            error = process.communicate(timeout=120)[1].decode()
-        assert "from lampest" not in error and "main()" not in error

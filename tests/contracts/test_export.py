@@ -243,7 +243,7 @@ def test_a_failed_export_leaves_no_file(results: Path) -> None:
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pynwb_reads_the_nwb_export_with_subject_and_start(lampest: Run, tmp_path: Path) -> None:
     from pynwb import read_nwb, validate
 

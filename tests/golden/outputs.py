@@ -25,7 +25,7 @@ from golden.estimates import ESTIMATORS, gapped, in_scene, simulated
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from support import Patient, invented_case
+from support import invented_case
 
 import lampest as lp
 from lampest.apps.film.pressure import Force
@@ -44,7 +44,7 @@ from lampest.apps.live.message import (
 )
 from lampest.apps.live.publish import publish_at
 from lampest.apps.live.run import METHODS as LIVE
-from lampest.apps.live.run import from_recording, scan_of
+from lampest.apps.live.run import scan_of
 from lampest.apps.live.state import PanelState, solved_scan, verdict_of
 from lampest.apps.live.watcher import Scan, Unloaded, Watched, in_one_batch
 from lampest.apps.page import compared, page
@@ -654,20 +654,6 @@ def live_row(estimator: str) -> dict[str, Any]:
     return {"pictures": pictures, "looks": looks}
 
 
-def replayed_row(roles: bool, changes: dict[str, Any]) -> dict[str, Any]:
-    """The last view of a recording that the engine is fed with, without times."""
-    recording = simulated("outlier_probability")
-    recording = recording if roles else replace(recording, role=np.ones_like(recording.role))
-    with Patient(replace(ESTIMATORS["auto"], **changes), 3) as engine:
-        from_recording(engine, recording, 1e9, 5, lambda seconds: None)
-        engine.finish()
-        view = engine.shown.item
-    content = json.loads(view_text(view, 0.0))
-    for name in ("arrived", "solve_seconds"):
-        del content["picture"]["health"][name]
-    return content
-
-
 VERDICTS_ON: tuple[dict[tuple[int, int], float], ...] = (
     {},
     {(1, 1): 0.98},
@@ -1099,10 +1085,6 @@ def of_report() -> Rows:
             "published": published_row,
             "words of live": live_words_row,
             "watched": watched_row,
-            "replayed": partial(replayed_row, True, {}),
-            "replayed without roles": partial(
-                replayed_row, False, {"solver": lp.Settings(max_iterations=1)}
-            ),
             "descriptions": described_row,
             "report of a fit": fit_row,
             "pictures of files": pictured_row,

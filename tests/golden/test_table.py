@@ -104,7 +104,6 @@ SLOW_ROWS = {  # rows of a second or more on a busy machine
     "report plot contours",
     "report plot residuals",
     "report plot resistance",
-    "report replayed",
     "report report of a fit",
     "report timeline",
     "runs damaged files",

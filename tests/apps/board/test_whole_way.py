@@ -10,6 +10,7 @@ import pytest
 import serial
 from apps.board.bench import bench, lampest, portable_bench, scene, scene_file
 from apps.board.estimated import pressed_cells, recording_of, solved_case, sums_of
+from apps.microcontroller.wrong_circuits import corners
 from support import live_pictures
 
 from lampest import Estimator, LogGradient, LogRatio, Misfit, Recording, Squared, reconstruct
@@ -202,12 +203,8 @@ def test_boards_without_an_estimate_record_as_usual(exported, tmp_path: Path) ->
 
 def chords(rng: np.random.Generator, count: int) -> list[set[tuple[int, int]]]:
     """Return chords of three and four keys, corners of rectangles."""
-    drawn = []
-    for _ in range(count):
-        rows, columns = (rng.choice(size, 2, replace=False) for size in SHAPE)
-        corners = [(int(row), int(column)) for row in rows for column in columns]
-        drawn.append({corners[number] for number in rng.permutation(4)[: rng.integers(3, 5)]})
-    return drawn
+    drawn = (corners(rng, SHAPE) for _ in range(count))
+    return [{keys[at] for at in rng.permutation(4)[: rng.integers(3, 5)]} for keys in drawn]
 
 
 def test_the_keyboard_prints_presses_and_releases_with_strengths_and_no_ghosts(

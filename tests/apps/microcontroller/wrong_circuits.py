@@ -185,10 +185,15 @@ def errors_of(
     return Errors(*map(int, counts))
 
 
+def corners(rng: np.random.Generator, shape: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return the keys at the corners of a rectangle."""
+    rows, columns = (rng.choice(size, 2, replace=False) for size in shape)
+    return [(int(row), int(column)) for row in rows for column in columns]
+
+
 def chord(rng: np.random.Generator) -> list[tuple[int, int]]:
     """Return three or four keys, mostly corners of a rectangle."""
-    rows, columns = (rng.choice(size, 2, replace=False) for size in SHAPE)
-    keys = [(int(row), int(column)) for row in rows for column in columns]
+    keys = corners(rng, SHAPE)
     if rng.random() < 0.3:
         places = np.unravel_index(rng.choice(SHAPE[0] * SHAPE[1], 4, replace=False), SHAPE)
         keys = [(int(row), int(column)) for row, column in zip(*places, strict=True)]
