@@ -120,6 +120,11 @@ def solvable_recording(readout: Readout) -> Recording:
     return Recording(scene, recorded, np.arange(5.0), role)
 
 
+def unless(holds: bool, fault: str) -> str:
+    """Return PASSED where something holds, and else the fault."""
+    return PASSED if holds else fault
+
+
 def drawn(rng: np.random.Generator, tries: Sequence[Any], count: int) -> Iterator[tuple[int, Any]]:
     """Some of the tries, each with its number."""
     yield from ((int(number), tries[number]) for number in rng.permutation(len(tries))[:count])

@@ -13,7 +13,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from apps.live.test_stalled_listeners import message as frame
-from attack.attack import PASSED, Outcomes, Rng, attack, environment
+from attack.attack import PASSED, Outcomes, Rng, attack, environment, unless
 from contracts.test_publish import MOSQUITTO, broker, free_port
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
@@ -123,11 +123,10 @@ def test_a_killed_recorder_leaves_every_counted_frame(
             frames < 4 or recording.sigma is not None
         )
         right = frames >= counted and repaired and unchanged and closed
-        yield (
-            PASSED
-            if right
-            else f"{counted} counted, {frames} read, repaired {repaired}, same {unchanged}, closed "
-            f"{closed}"
+        yield unless(
+            right,
+            f"{counted} counted, {frames} read, repaired {repaired}, same {unchanged}, closed "
+            f"{closed}",
         )
 
 
@@ -158,10 +157,8 @@ def test_a_paused_broker_receives_no_late_messages(rng: Rng, folder: Path, count
                     send(frame(1, 2))
                     time.sleep(0.03)
                 late = sum(age > 0.5 for age in ages)
-                yield (
-                    PASSED
-                    if late < 15 and len(ages) > 15
-                    else f"{late} of {len(ages)} messages came late"
+                yield unless(
+                    late < 15 and len(ages) > 15, f"{late} of {len(ages)} messages came late"
                 )
         ear.disconnect()
         ear.loop_stop()

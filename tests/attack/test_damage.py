@@ -7,7 +7,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from attack.attack import PASSED, SEED, Outcomes, Rng, Tries, attack, called, small_folder
+from attack.attack import PASSED, SEED, Outcomes, Rng, Tries, attack, called, small_folder, unless
 from fuzz.mutants import good_recordings, good_results
 from support import invented_case
 from unclosed import unclosed_recording
@@ -67,10 +67,8 @@ def _outcome(path: Path, reader: Callable[[Path], Any], meant: dict[str, Any]) -
     try:
         read = _content(reader(path))
     except InputError as error:
-        return (
-            PASSED
-            if str(error).startswith(str(path))
-            else f"the sentence does not name the file: {error}"
+        return unless(
+            str(error).startswith(str(path)), f"the sentence does not name the file: {error}"
         )
     differing = [name for name in meant | read if not _same(meant.get(name), read.get(name))]
     return f"read with another {', '.join(differing)}" if differing else PASSED

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from attack.attack import PASSED, Outcomes, Rng, attack, command, drawn, small_folder
+from attack.attack import Outcomes, Rng, attack, command, drawn, small_folder, unless
 from openpyxl import Workbook
 
 # Command → the library without which it is refused; other commands are tried without it, too.
@@ -46,8 +46,6 @@ def test_commands_name_a_missing_library_and_work_without_unneeded_ones(
     missing = ",".join(library for library, _ in NEEDING_COMMANDS)
     for arguments in INDEPENDENT_COMMANDS[: count - 1]:
         completed = command(*arguments, folder=work_folder, without=missing)
-        yield (
-            PASSED
-            if completed.code == 0
-            else completed.described(f"{' '.join(arguments)} without {missing}")
+        yield unless(
+            completed.code == 0, completed.described(f"{' '.join(arguments)} without {missing}")
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from attack.attack import PASSED, Outcomes, Rng, attack, called, drawn, small_folder
+from attack.attack import Outcomes, Rng, attack, called, drawn, small_folder, unless
 
 pytestmark = pytest.mark.slow
 SIGNS = (
@@ -69,8 +69,6 @@ def test_control_characters_in_names_and_contents_of_files_are_never_printed(
                 (completed.out + completed.err).count(f"\n{line_start}")
                 for line_start in ("b.h5", "b.csv", "s.h5", ".h5", ".csv")
             )
-            yield (
-                PASSED
-                if completed.plain and not lines
-                else completed.described(f"{arguments[0]} with {sign!r}")
+            yield unless(
+                completed.plain and not lines, completed.described(f"{arguments[0]} with {sign!r}")
             )

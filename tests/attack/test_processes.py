@@ -23,6 +23,7 @@ from attack.attack import (
     environment,
     small_folder,
     solvable_recording,
+    unless,
 )
 
 from lampest import (
@@ -84,10 +85,8 @@ def test_a_process_limit_gives_one_sentence(rng: Rng, folder: Path, count: int) 
         words = commands[number % 3]
         completed = _as_stranger(int(rng.integers(1, 6)), *words, folder=work_folder)
         sentence = completed.code == 0 or (completed.code == 2 and completed.err.count("\n") == 1)
-        yield (
-            PASSED
-            if sentence and completed.plain and completed.seconds < 60
-            else completed.described(words[0])
+        yield unless(
+            sentence and completed.plain and completed.seconds < 60, completed.described(words[0])
         )
 
 
@@ -182,10 +181,9 @@ def test_a_killed_export_leaves_a_whole_sketch_folder(
         )
         repeated = called(*EXPORT, "smooth", "--out", "sketch", folder=work_folder)
         remaining = sorted(path.name for path in (work_folder / "sketch").iterdir())
-        yield (
-            PASSED
-            if remaining == sorted(sketches[1]) and _content(work_folder / "sketch") == sketches[1]
-            else repeated.described("again")
+        yield unless(
+            remaining == sorted(sketches[1]) and _content(work_folder / "sketch") == sketches[1],
+            repeated.described("again"),
         )
 
 

@@ -353,7 +353,6 @@ FILES |= {
         arrays={"log": FIELDS},
         times=np.arange(4) / 4,
     ),
-    "NPY: the time in the first column": array(WITH_TIMES, "the time first", start=START),
     "JSON: frames": records(listed(HOLES), "read as (frames, rows, columns)", expected=HOLES),
     "JSON: a name beside times": records(
         {"unit": "ohm", "t": [0, 1, 2, 3], "R": listed(FRAMES)}, "array R read as"
@@ -372,13 +371,6 @@ FILES |= {
     ),
     "JSON: a record a frame": records(NAMED_RECORDS, "column 'ms' in ms", times=np.arange(4) / 4),
     "JSON lines: frames": records(listed(FRAMES), "read as (frames", name="m.jsonl"),
-    "JSON lines: flat frames": records(
-        listed(FRAMES.reshape(4, -1)), "read as (frames", name="m.ndjson"
-    ),
-    "JSON lines: records": records(
-        TIMED, "array data read as", name="m.jsonl", times=np.arange(4) / 2
-    ),
-    "JSON lines: a frame's cells": records(NAMED_RECORDS, name="m.jsonl", times=np.arange(4) / 4),
     "JSON lines under the name of one value": foreign_file(
         "\n".join(map(json.dumps, TIMED)), name="m.json", times=np.arange(4) / 2
     ),
@@ -617,8 +609,6 @@ REFUSED = [
         unit="V",
         absent="m.npy",
     ),
-    array(FRAMES, "code; write kohm", unit="kΩ", absent="m.npy"),
-    array(FRAMES, "code; write code", unit="ADC", absent="m.npy"),
     array(FRAMES, "; did you mean ohm?", unit="ohn", absent="m.npy"),
     array(FRAMES, "5 baseline frames asked for, but the file holds 4 frames", baseline_frames=5),
     array(FRAMES, "a panel needs at least one row", rows=0, columns=3, absent="m.npy"),
@@ -635,7 +625,6 @@ REFUSED = [
         scene=amplifiers(supply_volt=0.5),
     ),
     array(mostly(2.5), *AT_RAIL, scene=OWN_VOLTAGES, unit="volt"),
-    matrices("the numeric arrays are: x (2 × 2)", arrays={"x": np.ones((2, 2))}),
     book({"Data": sheet_of(FRAMES, {(6, 7): "abc"})}, "m.xlsx: Data!H7: 'abc' is no number"),
     book({"Data": [[1.0]] * 15 + [[1.0, 2.0, 3.0]] * 3}, "Data!16: 3 fields, where row 1 has 1"),
     book(TWO_SHEETS, "no sheet 'C'; there are A, B", variable="C"),
