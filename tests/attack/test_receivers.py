@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from urllib.parse import urlsplit
 
-import numpy as np
 import pytest
+from apps.live.test_stalled_listeners import message
 
-from lampest import InputError, Panel
+from lampest import InputError
 from lampest.apps.live.handover import Newest
-from lampest.apps.live.message import UNKNOWN, Message, Picture, View
+from lampest.apps.live.message import Message
 from lampest.apps.live.publish import MAX_DATAGRAM, OscPublish, publishing
 from lampest.apps.recognition.detect.answer import Detected
 
@@ -20,30 +20,6 @@ SMALL_PANEL = 3, 4
 LARGE_PANEL = 72, 72  # three maps exceed a datagram
 ENORMOUS_PANEL = 120, 120  # one map does
 MAX_SECONDS = 5.0  # for fifty frames: sending waits for no answer
-
-
-def frame(shape: tuple[int, int], number: int = 1) -> Message:
-    """A solved frame with as large numbers as there are."""
-    values = np.full(shape, 1e7)
-    is_open = np.zeros(shape, dtype=bool)
-    picture = Picture(
-        number,
-        0.1,
-        0.0,
-        values,
-        values,
-        is_open,
-        UNKNOWN,
-        "",
-        0.1,
-        0,
-        values,
-        values,
-        verdict="pressing",
-    )
-    message = Message.of(View("", "", "", Panel(*shape), picture=picture))
-    assert message is not None
-    return message
 
 
 @contextmanager
@@ -61,7 +37,7 @@ def addresses_of(place: socket.socket, count: int) -> list[list[str]]:
     from pythonosc.osc_bundle import OscBundle
 
     bundles = [OscBundle(place.recv(MAX_DATAGRAM)) for _ in range(count)]
-    return [[message.address for message in bundle] for bundle in bundles]
+    return [[part.address for part in bundle] for bundle in bundles]
 
 
 @pytest.mark.parametrize(
@@ -89,20 +65,20 @@ def test_an_absent_or_refusing_receiver_stops_nothing(host: str) -> None:
     with OscPublish(host, 9).opened(sentences.append) as (_, send):
         begin = time.monotonic()
         for number in range(50):
-            send(frame(SMALL_PANEL, number))
+            send(message(number, SMALL_PANEL))
         assert time.monotonic() - begin < MAX_SECONDS
     assert not sentences
 
 
 def test_an_unreading_receiver_stops_nothing() -> None:
     sentences = list[str]()
-    shown = Newest(frame(LARGE_PANEL).view)
+    shown = Newest(message(0, LARGE_PANEL).view)
     with (
         receiver() as place,
         publishing([OscPublish(port=place.getsockname()[1])], shown, sentences.append),
     ):
         for number in range(100):
-            shown.put(frame(LARGE_PANEL, number).view)
+            shown.put(message(number, LARGE_PANEL).view)
             time.sleep(0.002)
     assert not sentences
 
@@ -114,7 +90,7 @@ def test_a_large_frame_is_sent_in_several_datagrams(shape: tuple[int, int], coun
         receiver() as place,
         OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send),
     ):
-        send(frame(shape))
+        send(message(1, shape))
         addresses = [address for bundle in addresses_of(place, count) for address in bundle]
     expected = [
         "sequence",
@@ -137,15 +113,15 @@ def test_a_value_too_large_for_a_datagram_is_omitted_and_named_once() -> None:
     """Maps of a panel, and the list of all that sucked during a long day."""
     sentences = list[str]()
     detected = Detected("long", "cannot say", 0.5, why="x" * 70_000)
-    view = dataclasses.replace(frame(ENORMOUS_PANEL).view, detected=detected)
-    message = Message.of(view)
-    assert message is not None
+    view = dataclasses.replace(message(1, ENORMOUS_PANEL).view, detected=detected)
+    sent = Message.of(view)
+    assert sent is not None
     with (
         receiver() as place,
         OscPublish(port=place.getsockname()[1]).opened(sentences.append) as (_, send),
     ):
         for _ in range(2):
-            send(message)
+            send(sent)
         for bundle in addresses_of(place, 2):
             assert "/lampest/force" in bundle and "/lampest/cells" not in bundle
     named = [sentence.split(" ")[1] for sentence in sentences]

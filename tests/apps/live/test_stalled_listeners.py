@@ -32,30 +32,28 @@ HANDSHAKE = (
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
 
 
-def message(number: int, side: int = 64) -> Message:
-    """A frame of side × side cells."""
-    panel = Panel(side, side)
-    cells = np.full(panel.shape, 1000.123 + number)
-    no = np.zeros(panel.shape, dtype=bool)
-    status = "local optimum verified"
-    saturated = np.zeros(panel.shape, dtype=np.uint8)
+def message(number: int = 1, shape: tuple[int, int] = (64, 64)) -> Message:
+    """A solved frame."""
+    cells = np.full(shape, 1000.123 + number)
     picture = Picture(
         number,
         0.0,
         0.0,
         cells,
         cells,
-        no,
+        np.zeros(shape, dtype=bool),
         Force(1.0, 0.1),
-        status,
+        "local optimum verified",
         0.0,
         0,
         cells,
         cells,
-        saturated,
+        np.zeros(shape, dtype=np.uint8),
         "pressing",
     )
-    return Message(panel, picture, View("here", "LSM", "receiving", panel))
+    sent = Message.of(View("here", "LSM", "receiving", Panel(*shape), picture=picture))
+    assert sent is not None
+    return sent
 
 
 def finish_in_time(work: Callable[[], object]) -> None:
