@@ -517,6 +517,8 @@ for fields, sentence, options in (
     text = [f"time,{','.join('a' * 15)}"]
     text += [f"{field},{line}" for field, line in zip(fields, lines(WIDE), strict=False)]
     refuse(f"a time of {fields[0]}", text, sentence, **options)
+MICROSECONDS = [f"{100 * n},{line}" for n, line in enumerate(lines(WIDE))]
+accept("times in µs", MICROSECONDS, "in us (as specified)", times=FOUR / 1e4, time_unit="us")
 refuse("no time", lines(WIDE), "holds no times that could be in ms", time_unit="ms")
 NAMED_ROWS = ["row,r0,r1,r2,r3,r4", *(f"{row},{line}" for _, row, line in NUMBERED)]
 refuse("columns called as rows", NAMED_ROWS, "the header's 'r0' names a row; `transpose` swaps")
@@ -625,6 +627,26 @@ for first in (0, 1):
     )
     turned = text.replace("r", "?").replace("c", "r").replace("?", "c")
     refuse(f"named rows and columns from {first}, transposed", turned, "`transpose` swaps")
+
+for first, name in enumerate(("ch0", "ch1")):
+    header = ",".join(f"ch{first + number}" for number in range(15))
+    sentence = f"cells by their numbers from {first}, row by row"
+    accept(f"columns from {name}", [header, *lines(WIDE)], sentence)
+
+for header, pattern, ohm in (
+    ("cell,frame,kohm", "R{r}C{c}", 1000),
+    ("sensor,frame,value", "{n}", 1),
+):
+    text = [header]
+    for f, r, c in np.ndindex(FRAMES.shape):
+        cell = pattern.format(r=r, c=c, n=COLUMNS * r + c + 1)
+        text.append(f"{cell},{f},{FRAMES[f, r, c]}")
+    accept(header, text, "one value a line as cell, frame, value", expected=ohm * FRAMES)
+SHUFFLED = ["row,c3,c1,c2,c5,c4"]
+SHUFFLED += [
+    f"{row},{line}" for frame in FRAMES for row, line in enumerate(lines(frame[:, [2, 0, 1, 4, 3]]))
+]
+accept("rows by numbers", SHUFFLED, "a new frame begins where a row comes again")
 
 SPREADSHEET = ["% exported on Monday", "Zeit [ms];" + names("Z{r}S{c} [kΩ]", 1, ";") + ";"]
 SPREADSHEET += [f"{250 * n};{line};" for n, line in enumerate(lines(FRAMES / 1000, ";", ","))]

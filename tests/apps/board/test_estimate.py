@@ -280,8 +280,6 @@ def test_standard_deviations_match_the_linear_system():
     np.testing.assert_allclose(estimated, np.sqrt(variance), rtol=ITERATED)
 
 
-
-
 @pytest.mark.slow
 def test_bad_frames_get_a_status_and_keep_the_estimate():
     scene = scene_of("loaded_columns")
