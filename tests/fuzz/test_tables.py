@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest import InputError, import_file, read_run, read_scene, read_simulations
+from lampest import import_file
 from lampest.apps.foreign.line_reader import LineReader, TextFrame
 from tests.fuzz import tables
 
@@ -107,40 +107,6 @@ def test_a_reader_says_why_lines_are_not_understood() -> None:
         assert reader.feed(f"voltage {number}: 3.3") == ()
     assert not reader.sentences
     assert reader.refusal.startswith("/dev/ttyUSB0")
-
-
-SHIPPED = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
-SIGNS = ("", "{", "}", "[", "]", ":", "-", ",", "#", "'", "\t", "~", "9", "1e400", "é", "&a", "*a")
-
-
-def damaged_text(text: str, rng: np.random.Generator) -> str:
-    """Return a text with a line lost or doubled, or a sign changed, one to four times."""
-    for _ in range(int(rng.integers(1, 5))):
-        damage = str(rng.choice(["sign", "lost", "doubled"]))
-        parts = list(text) if damage == "sign" else text.splitlines(keepends=True)
-        at = int(rng.integers(len(parts)))
-        changed = {"sign": str(rng.choice(SIGNS)), "lost": "", "doubled": 2 * parts[at]}
-        parts[at] = changed[damage]
-        text = "".join(parts)
-    return text
-
-
-@EACH_COUNT
-def test_a_damaged_yaml_file_gives_one_sentence(tmp_path: Path, count: int) -> None:
-    """Scenes, runs and simulations, as lampest brings them: read, or refused."""
-    path = tmp_path / "damaged.yaml"
-    refused = 0
-    for number in range(count // 2):
-        rng = np.random.default_rng([SEED, 2000 + number])
-        shipped = SHIPPED[int(rng.integers(len(SHIPPED)))]
-        path.write_text(damaged_text(shipped.read_text(encoding="utf-8"), rng), encoding="utf-8")
-        for read in (read_scene, read_run, read_simulations):
-            try:
-                read(path)
-            except InputError as error:
-                refused += 1
-                assert "\n" not in str(error), f"TABLES_SEED={SEED}, {number}: {shipped.name}"
-    assert refused
 
 
 @pytest.mark.parametrize("first", [1, 4])
