@@ -11,12 +11,14 @@ from typing import Any, get_args
 
 import numpy as np
 from golden.circuits import COLD, FILM, PANEL, RESPONSES, Rows, scenes
-from golden.content import OfKind
+from golden.content import OfKind, of_kind
 from unclosed import unclosed_recording
 
 import lampest as lp
+from lampest.apps.calibration import known_loads
+from lampest.apps.calibration.loads import calibrate_loads
 from lampest.apps.calibration.resistors import calibrate_resistors, noise_of
-from lampest.apps.studies.common import paper_methods
+from lampest.apps.studies.common import CONFIGS, paper_methods
 from lampest.cost.given import Background
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
@@ -529,6 +531,67 @@ def joint_row() -> list[Any]:
     return [*rows, error_bars(begun.stepped(), 2, Shared.of(recording.scene))]
 
 
+def loads_row() -> dict[str, Any]:
+    """A rod on four places of the panel, one recording each."""
+    rods = [
+        replace(ROD, centre_mm=place)
+        for place in ((10.0, 10.0), (30.0, 10.0), (10.0, 22.0), (30.0, 22.0))
+    ]
+    scene = lp.Scene(PANEL, lp.TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)
+    lying: dict[str, Any] = {"course": lp.Course(), "frames": 3}
+    recordings = [
+        replace(simulated("response_spread", scene, loads=(rod,), **lying), name=f"r{number}")
+        for number, rod in enumerate(rods)
+    ]
+    known = [
+        known_loads.KnownLoad(
+            frames=(4, 6),
+            recording=f"r{n}",
+            mass_g=500.0,
+            x_mm=rod.centre_mm[0],
+            y_mm=rod.centre_mm[1],
+            diameter_mm=24.0,
+        )
+        for n, rod in enumerate(rods)
+    ]
+    calibration = calibrate_loads(
+        recordings, known_loads.KnownLoads(schema=1, loads=tuple(known)), 0.01
+    )
+    blocks = known_loads.KnownLoads(
+        schema=1,
+        loads=(
+            known_loads.KnownLoad(
+                frames=(0, 1),
+                force_newton=5.0,
+                x_mm=20.0,
+                y_mm=10.0,
+                length_mm=30.0,
+                width_mm=12.0,
+                angle_deg=20.0,
+            ),
+            known_loads.KnownLoad(frames=(2, 3), pressure_kpa=7.0),
+        ),
+    )
+    doubled = [
+        replace(each, mass_g=500.0 * (1 + (n == 2)), diameter_mm=16.0)
+        for n, each in enumerate(known)
+    ]
+    late = [replace(known[0], frames=(5, 6)), *doubled[1:]]
+    lists = [known_loads.KnownLoads(schema=1, loads=tuple(loads)) for loads in (doubled, late)]
+    odd = [calibrate_loads(recordings, each, 0.0) for each in lists]
+    return calibration_row(calibration) | {
+        "odd": [
+            [each.warnings, each.remarks, each.fitted.spread, each.fitted.scatter] for each in odd
+        ],
+        "fitted": calibration.fitted,
+        "pressures": blocks.pressures(PANEL),
+        "moved": known[0].pressure(PANEL, 6.0, 3.0, -2.0),
+        "read": [
+            known_loads.read_known_loads(CONFIGS / f"known_loads.{kind}") for kind in ("csv",)
+        ],
+    }
+
+
 def of_estimate() -> Rows:
     recordings: dict[str, Callable[[], lp.Recording]] = {
         "gaps": gapped,
@@ -597,5 +660,6 @@ def of_estimate() -> Rows:
             "stored noise": stored_noise_row,
             "noise of frames": frame_noise_row,
             "frames as one": joint_row,
+            "known loads": of_kind("fitted", loads_row),
         }
     )

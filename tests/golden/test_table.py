@@ -82,6 +82,7 @@ SLOW_ROWS = {  # rows of a second or more on a busy machine
     "estimate estimate with scene series of lines",
     "estimate estimate with scene wire",
     "estimate estimate with scene wired pull-ups",
+    "estimate known loads",
     "estimate moved resistors",
     "estimate no resistors",
     "estimate smoother of modules",
