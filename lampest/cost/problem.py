@@ -48,9 +48,6 @@ class Data(ReadOnlyArrays):
         Whether no earlier frame was solved.
     parts : array of int, or None
         See `Scene.parts`.
-    place : int
-        Number that differs between simultaneous solves of many panels: compiled functions store
-        their arguments.
 
     >>> rod = lampest.Rod(centre_mm=(10, 5), diameter_mm=15, mass_g=100)
     >>> scene = lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0)
@@ -70,7 +67,6 @@ class Data(ReadOnlyArrays):
     until: float = math.inf
     first: bool = False
     parts: Numbers | None = None
-    place: int = 0
 
     def __repr__(self) -> str:
         """Return the object in one line, arrays by their shapes."""
@@ -81,8 +77,8 @@ class Data(ReadOnlyArrays):
         """Shape of the leading axis, (panels,); () of a single panel."""
         return self.measured.shape[:-3]
 
-    def of_panels(self, place: int) -> "Data":
-        """Return the data with each frame as a panel of its own, and with another `place`."""
+    def of_panels(self) -> "Data":
+        """Return the data with each frame as a panel of its own."""
         sources = self.given.sources()
         named = {
             name: value[:, None] if sources[name].per_frame else value
@@ -93,7 +89,6 @@ class Data(ReadOnlyArrays):
             given=replace(self.given, **named),
             lower=self.lower[:, None],
             upper=self.upper[:, None],
-            place=place,
         )
 
     def some(self, panels: Panels) -> "Data":
@@ -220,12 +215,8 @@ class Data(ReadOnlyArrays):
 
 
 @lru_cache(maxsize=256)
-def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
-    """Return a function for many panels at once, one function for each `place`.
-
-    A compiled function stores its arguments; simultaneous solves therefore need functions of their
-    own.
-    """
+def _mapped(function: Compiled, panels: int) -> Compiled:
+    """Return a function for many panels at once, which is built once."""
     return function.mapped(panels)
 
 
@@ -305,7 +296,7 @@ class Evaluation(ReadOnlyArrays):
             "weights": self.weights,
             "dual": zeros if dual is None else dual,  # costs with duals are solved panel by panel
         }
-        called = _mapped(function, *panels, self.data.place) if panels else function
+        called = _mapped(function, *panels) if panels else function
         return called(*(values[name] for name in function.names)).reshape(*panels, -1)
 
     @cached_property

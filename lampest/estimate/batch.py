@@ -3,14 +3,11 @@
 Frames that permit it are solved in batches over a leading axis, all others one by one.
 """
 
-import os
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from math import sqrt
-from multiprocessing import parent_process
 from time import perf_counter
 
 import numpy as np
@@ -28,7 +25,6 @@ from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.projected_lbfgs import NAME, InverseHessians, serves, solve
 from lampest.solvers.solution import VERIFIED, Outcome, Status, solution_at
 
-MIN_PANELS_PER_THREAD = 20  # with fewer panels in a thread, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # frames that are solved together: 50 MB of inverse Hessians at 20 × 20
 # Mean of squared differences of two frames over σ²; with noise alone it is 2.
 MAX_NOISE_SQUARES = 4.0
@@ -192,8 +188,7 @@ def _solved_together(
 ) -> Pushed:
     """Return the streams after their frame and the frame's step by number.
 
-    Only streams that batches can solve are included. Streams with the same cost are one batch;
-    large batches are split among threads.
+    Only streams that batches can solve are included. Streams with the same cost are one batch.
     """
     groups = dict[Hashable, list[int]]()
     for number, stream in streams.items():
@@ -201,31 +196,14 @@ def _solved_together(
         if _in_batches(stream, frame):
             kind = _unweighted(stream.estimator), stream.scene.faults, frame.partial
             groups.setdefault(kind, []).append(number)
-    # Each of several processes has one core.
-    cores = 1 if parent_process() else len(os.sched_getaffinity(0))
-    blocks = list[Numbers]()
-    for group in groups.values():
-        # Frames of one stream stay in one thread, however many cores there are.
-        distinct = len({id(streams[number]) for number in group})
-        blocks += np.array_split(group, max(1, min(cores, distinct // MIN_PANELS_PER_THREAD)))
-
-    def solved_block(place: int) -> Pushed:
-        numbers = blocks[place]
-        own = inverses.some(numbers)
-        with np.errstate(all="ignore"), suppress(*BROKEN):
-            batch = [streams[number] for number in numbers.tolist()]
-            return _solved_batch(batch, readings[numbers], own, numbers, place)
-        return {}, own
-
-    if len(blocks) < 2:
-        parts = [solved_block(place) for place in range(len(blocks))]
-    else:
-        with ThreadPoolExecutor(len(blocks)) as pool:
-            parts = list(pool.map(solved_block, range(len(blocks))))
     solved = dict[int, tuple[Stream, Step]]()
-    for numbers, (part, own) in zip(blocks, parts, strict=True):
-        solved |= part
-        inverses = inverses.replaced(numbers, own)
+    for group in groups.values():
+        numbers = np.array(group)
+        batch = [streams[number] for number in group]
+        with np.errstate(all="ignore"), suppress(*BROKEN):
+            part, own = _solved_batch(batch, readings[numbers], inverses.some(numbers), numbers)
+            solved |= part
+            inverses = inverses.replaced(numbers, own)
     return solved, inverses
 
 
@@ -260,16 +238,11 @@ def _unweighted(estimator: Estimator) -> Estimator:
 
 
 def _solved_batch(
-    streams: Sequence[Stream],
-    frames: Readings,
-    inverses: InverseHessians,
-    numbers: Numbers,
-    place: int,
+    streams: Sequence[Stream], frames: Readings, inverses: InverseHessians, numbers: Numbers
 ) -> Pushed:
     """Return the streams of one batch after their frame, and the frame's step, by number.
 
-    Only verified minima are returned. The streams have one shape and one kind of cost; `place` is
-    that of `Data`.
+    Only verified minima are returned. The streams have one shape and one kind of cost.
     """
     begin = perf_counter()
     estimator = _unweighted(streams[0].estimator)
@@ -282,7 +255,7 @@ def _solved_batch(
     cost = estimator.cost(streams[0].scene, 1, partial=data.partial)
     if not serves(cost, data):
         return {}, inverses
-    data = data.of_panels(place)
+    data = data.of_panels()
     weights = np.array(
         [[float(term.weight) for term in stream.weighted.terms] for stream in streams]
     )

@@ -438,7 +438,7 @@ def batch_row() -> dict[str, Any]:
         rng = np.random.default_rng(6)
         recorded = lp.two_point_resistance(cells) * (1 + 0.01 * rng.standard_normal(cells.shape))
         estimator = Estimator(COSTS[cost], "reduced", bounds=lp.Bounds(lower=1000.0, upper=5000.0))
-        data = estimator.data(Readings.of(scene, recorded), Background(scene)).of_panels(2)
+        data = estimator.data(Readings.of(scene, recorded), Background(scene)).of_panels()
         begin = np.clip(cells * np.exp(0.3 * rng.standard_normal(cells.shape)), 1000.0, 5000.0)[
             [0, 1, 2, 4, 4], None
         ]

@@ -142,19 +142,6 @@ def test_modules_of_a_single_line_have_the_shared_errors() -> None:
     assert (estimate.cell_resistance_errors > 0.06 / np.sqrt(3) * estimate.cell_resistance).all()
 
 
-def test_modules_in_parallel_threads_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    recording = simulated(scene_of(SCENE + FAULTS))
-    terms = [lampest.Misfit(), lampest.CellResistance(weight=1e-7)]
-    results = []
-    for cores in (1, 3):
-        monkeypatch.setattr("lampest.estimate.batch.MIN_PANELS_PER_THREAD", 1)
-        monkeypatch.setattr("os.sched_getaffinity", lambda process, cores=cores: set(range(cores)))
-        results.append(
-            lampest.reconstruct(recording, terms, formulation="reduced").cell_resistance.tobytes()
-        )
-    assert results[0] == results[1]
-
-
 def test_a_stream_of_modules_is_the_same_however_often_it_is_pushed() -> None:
     """A frame that was tried leaves nothing behind: inverse Hessians belong to the next stream."""
     modules = "modules: {rows: 1, columns: 3, each: {rows: 2, columns: 3}}"
