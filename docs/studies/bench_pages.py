@@ -3,7 +3,7 @@
 A table stands between <!-- bench: NAME --> and <!-- /bench -->.
 
 Run it with: python -m docs.studies.bench_pages results/bench
-NAME is that of a section of bench.md or commands.md: solvers, methods, growth, remarks or commands.
+NAME is that of a section of bench.md or commands.md: solvers, methods, remarks or commands.
 """
 
 import argparse

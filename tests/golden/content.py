@@ -62,7 +62,6 @@ QUANTITIES = (
     Quantity("verified_difference", zero=1.0),  # of log r, between two solutions
     # Costs of exact readings: ohm² or −2 log probability.
     Quantity("costs|objective|gap|misfit|chi_square", zero=1e-6),
-    Quantity(r"growth\.csv", zero=1.0),  # standard errors of exponents that are exact
 )
 
 

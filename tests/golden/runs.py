@@ -149,7 +149,7 @@ FAULTS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         {
             "sizes: [3]": ("sizes: []", "sizes: [1]", "sizes: [3, [3, 3]]"),
             "frames: 1": ("frames: 0",),
-            "repeats: 1": ("recordings: 0", "budget_s: 0", "estimators: {A: {terms: {}}}"),
+            "repeats: 1": ("recordings: 0", "estimators: {A: {terms: {}}}"),
             "nodal: 3": ("noddal: 3",),
             BENCH.split("1\n", 1)[1]: ("sizes: [3, [3, 30]]\nlimits: {reduced: 20}\n",),
         },

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import chdir
 from dataclasses import replace
 from functools import partial
-from itertools import cycle, product
+from itertools import product
 from math import nan
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ from golden.outputs import command, drawn_row, refusal, stored
 
 import lampest as lp
 from lampest.apps.studies import bench, common, extreme_scenes, extremes, tradeoff
-from lampest.apps.studies.bench import Bench, BenchFile, BenchFrame, BenchPart, run_bench
+from lampest.apps.studies.bench import Bench, BenchFile, BenchFrame, run_bench
 from lampest.apps.studies.certified import (
     correct_digits,
     exact_cost,
@@ -32,7 +32,6 @@ from lampest.apps.studies.certified import (
 from lampest.apps.studies.common import StudyMethod
 from lampest.apps.studies.study import Study, read_settings
 from lampest.runs import config
-from lampest.solvers.solution import Status
 
 
 def timed(made: type[Any], **known: Any) -> list[Any]:
@@ -62,7 +61,6 @@ def timed(made: type[Any], **known: Any) -> list[Any]:
             "gap": 1e-7 * frame * (solver == "nodal"),
             "iterations": 4 + frame,
             "status": "local optimum verified",
-            "memory_mb": None if frame else 10.0 + side,
         }
         frames.append(
             made(
@@ -75,24 +73,16 @@ def timed(made: type[Any], **known: Any) -> list[Any]:
 
 
 def timed_bench() -> Bench:
-    """A benchmark in which methods, memory and time were left out.
-
-    Frames failed or have no gap.
-    """
+    """A benchmark in which frames failed or have no gap."""
     frames = timed(
         BenchFrame,
         kind=lambda side, frame: "later" if frame else "first",
         inverse_s=lambda side, frame: 1e-6 * side**2,
     )
-    pair = replace(frames[0], rows=9, kind="pair", memory_mb=7.0)
+    pair = replace(frames[0], rows=9, kind="pair")
     frames += [pair, replace(frames[0], rows=9), replace(frames[1], rows=9, gap=nan)]
-    left_out = (
-        ((8, 8), "LSM", "recording 2"),
-        ((8, 8), "LSR-CR", "recording 2"),
-        ((9, 8), "LSM", "memory of nodal"),
-    )
-    settings = BenchFile(schema=1, sizes=(8, 16, (30, 20)), budget_s=9.0, frames=2)
-    return Bench(settings, tuple(frames), left_out)
+    settings = BenchFile(schema=1, sizes=(8, 16, (30, 20)), frames=2)
+    return Bench(settings, tuple(frames))
 
 
 def timed_tradeoff() -> list[tradeoff.TradeoffFrame]:
@@ -201,20 +191,10 @@ def study_files_row(name: str) -> dict[str, Any]:
 def bench_row() -> dict[str, Any]:
     frames = timed_bench().frames
     settings = timed_bench().settings
-    part = BenchPart(0, (64, 64), "LSM")
     return {
         "rows": [vars(row) for row in bench.bench_rows(frames)],
         "solvers": settings.solvers((16, 16)),
         "wired": replace(settings, lines=lp.Lines(1.0)).solvers((16, 16)),
-        "expected": [
-            each.expected_s(settings, frames[:number])
-            for number in (0, 2, 30)
-            for each in (
-                part,
-                part._replace(shape=(8, 8)),
-                part._replace(method="LSR-CR"),
-            )
-        ],
         "recorded": [settings.recording((4, 5), number).recorded for number in (0, 1)],
         "loads": [bench.loads(number, (9, 9)) for number in range(5)],
     }
@@ -242,57 +222,21 @@ def tradeoff_row() -> dict[str, Any]:
 IN_NO_TIME = {"inverse_time": lambda matrix: 1e-6}
 
 
-def budgeted_row() -> list[Any]:
-    """Benchmarks within three budgets, on a clock that solves advance."""
-    file = BenchFile(1, (3, (3, 4)), METHODS, 2, 2, 3, limits=bench.BenchLimits(nodal=3, joint=3))
-    rows = []
-    names = (
-        "shape",
-        "method",
-        "solver",
-        "recording",
-        "frame",
-        "kind",
-        "seconds",
-        "gap",
-        "memory_mb",
-        "status",
-    )
-    for budget in (1.5, 9.0, 60.0):
-        clock = [0.0]
-        steps = list[Any]()
-        times = cycle((0.7, 0.2, 0.4, 0.3, 0.1, 0.6))
-
-        def solve(
-            stream: Any, readings: lp.Readings, clock: list[float] = clock, times: Any = times
-        ) -> Any:
-            turn = common.pushed(stream, readings)
-            seconds = next(times)
-            clock[0] += seconds
-            cost = turn.step.solution.objective + seconds
-            status = turn.step.solution.status
-            status = Status.ITERATIONS if seconds == 0.1 else status
-            solution = replace(turn.step.solution, objective=cost, status=status)
-            return turn._replace(seconds=seconds, step=replace(turn.step, solution=solution))
-
-        faked = {
-            "pushed": solve,
-            "perf_counter": lambda clock=clock: clock[0],
-        } | IN_NO_TIME
-        faked["peak_memory"] = lambda recording, estimator: (
-            len(recording.time) + len(estimator.method.kind) / 10
-        )
-        with patch.multiple(bench, **faked):
-            known = replace(file, budget_s=budget, memory=(3,))
-            benched = run_bench(known, lambda *about, steps=steps: steps.append(about))
-        rows.append(
-            [
-                steps,
-                benched.left_out,
-                [[getattr(frame, name) for name in names] for frame in benched.frames],
-            ]
-        )
-    return rows
+def runs_row() -> dict[str, Any]:
+    """A tiny run of the study of solvers, without its times."""
+    settings = {"LSM": METHODS["LSM"]}
+    file = BenchFile(schema=1, sizes=(3,), frames=2, repeats=1, estimators=settings)
+    steps: list[tuple[int, int]] = []
+    with patch.multiple(bench, **IN_NO_TIME):
+        measured = run_bench(file, lambda done, total, *_: steps.append((done, total)))
+    names = ("frame", "solver", "kind", "objective", "gap", "solved")
+    return {
+        "frames": [
+            {name: getattr(each, name) for name in names if hasattr(each, name)}
+            for each in measured.frames
+        ],
+        "steps": steps,
+    }
 
 
 def extremes_row(case: str) -> dict[str, Any]:
@@ -396,6 +340,6 @@ def of_studies() -> Rows:
         "settings": settings_row,
     }
     return rows | {
-        "budgets": budgeted_row,
+        "runs": runs_row,
         "digits": digits_row,
     }

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from itertools import product
 from operator import attrgetter
-from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -17,14 +16,13 @@ from lampest.apps.studies.common import (
     TimedFrame,
     inverse_time,
     outcome,
-    peak_memory,
     pushed,
 )
 from lampest.apps.studies.study import OnStep, column
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.sequence import first_stream
-from lampest.files.typed import Configuration, check_range, check_ranges
+from lampest.files.typed import Configuration, check_ranges
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -101,8 +99,6 @@ class BenchFile(Configuration):
         Number of simulated recordings of every panel, each with its own loads and noise.
     frames, repeats
         Number of frames after the first, and of solves of each by every solver.
-    budget_s
-        Time limit in s; solves that would exceed it are left out and named.
     seed, readout, unmodelled
         Of the simulated recordings, as in a simulation file.
     lines
@@ -111,8 +107,6 @@ class BenchFile(Configuration):
         Tolerance and iterations of all solvers.
     limits
         Largest side for each solver.
-    memory
-        Sides of panels on which the peak memory of a fresh process is measured.
     """
 
     schema: Literal[1]
@@ -121,25 +115,21 @@ class BenchFile(Configuration):
     recordings: int = 1
     frames: int = 4
     repeats: int = 3
-    budget_s: float = 3600.0
     seed: int = 1
     readout: TwoPointReadout = TwoPointReadout(noise_lsb=0.7)
     unmodelled: Unmodelled = field(default_factory=Unmodelled)
     lines: Lines | None = None
     solver: Settings = Settings()
     limits: BenchLimits = BenchLimits()
-    memory: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.sizes or not self.estimators:
             raise ValueError("sizes and estimators must hold at least one")
         common.check_sides(self.shapes, 2, common.MAX_SIDE)
-        check_range("a panel's side", self.memory, 2, common.MAX_SIDE)
         for rows, columns in self.shapes:
             if not self.solvers((rows, columns)):
                 raise ValueError(f"limits leave no solver for {rows} × {columns}")
         check_ranges(self, 1, 1000, "recordings", "frames", "repeats")
-        check_ranges(self, 1e-3, 30 * 86400, "budget_s")
 
     @property
     def shapes(self) -> tuple[common.Shape, ...]:
@@ -183,6 +173,9 @@ class BenchFile(Configuration):
         return simulate(simulation, str(number))
 
 
+LONG_TURN_S = 1.0  # of all solvers, against which disturbances are small
+
+
 @dataclass(frozen=True, kw_only=True)
 class BenchFrame(TimedFrame):
     """A frame of the benchmark.
@@ -197,111 +190,43 @@ class BenchFrame(TimedFrame):
     inverse_s: float = column("s", "a dense inverse of size rows + columns - 1 at that time")
 
 
-class BenchPart(NamedTuple):
-    """A method on a recording of a panel."""
-
-    recording: int
-    shape: common.Shape
-    method: str
-
-    def expected_s(self, bench: BenchFile, done: Sequence[BenchFrame]) -> float:
-        """Predict the time from the largest panel up to this size, growing as (M + N)³."""
-        solvers = bench.solvers(self.shape)
-        lines = sum(self.shape)
-        similar = grouped(
-            (
-                frame
-                for frame in done
-                if frame.method == self.method
-                and frame.solver in solvers
-                and sum(frame.shape) <= lines
-            ),
-            lambda frame: sum(frame.shape),
-        )
-        if not similar:
-            return 0.0
-        nearest = max(similar)
-        recordings = len({(frame.shape, frame.recording) for frame in similar[nearest]})
-        seconds = sum(frame.seconds for frame in similar[nearest])
-        return float(seconds / recordings * (lines / nearest) ** 3)
-
-
-PROCESS_START_S = 3.0  # that a fresh process takes to begin
-LONG_TURN_S = 1.0  # of all solvers, against which disturbances are small
-
-
-LeftOut = tuple[common.Shape, str, str]  # panel, method, and the part that was left out
-
-
 class Bench(NamedTuple):
-    """Measurements of the benchmark, and the parts that were left out."""
+    """Measurements of the benchmark, and its settings."""
 
     settings: BenchFile
     frames: tuple[BenchFrame, ...]
-    left_out: tuple[LeftOut, ...] = ()
 
 
 def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
-    """Measure solvers as far as the budget allows.
+    """Measure solvers on all recordings; the first recordings of all panels come first.
 
-    The first recordings of all panels come first, and small panels before large ones. `on_step`
-    receives the numbers of finished and of all parts, and the name of the next one.
+    `on_step` receives the numbers of finished and of all parts, and the name of the next one.
     """
-    end = perf_counter() + bench.budget_s
     frames = list[BenchFrame]()
-    missed = list[LeftOut]()
-    parts = [
-        BenchPart(*part)
-        for part in product(range(bench.recordings), bench.shapes, bench.estimators)
-    ]
+    parts = list(product(range(bench.recordings), bench.shapes, bench.estimators))
     simulated = lru_cache(maxsize=1)(bench.recording)
-    for number, part in enumerate(parts):
-        shape = part.shape
-        method = part.method
-        name = f"recording {part.recording + 1}"
-        on_step(number, len(parts), f"{shape[0]} × {shape[1]} {method}, {name}")
-        if part.expected_s(bench, frames) > end - perf_counter():
-            missed.append((shape, method, name))
-            continue
-        part_frames = list(_frames(bench, simulated(shape, part.recording), part, end))
-        count = part_frames[-1].frame + 1
-        if count <= bench.frames:
-            missed.append((shape, method, f"{name} after {count} of {bench.frames + 1} frames"))
-        with_memory = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
-        for solver in bench.solvers(shape) if with_memory else ():
-            solving_s = sum(frame.seconds for frame in part_frames if frame.solver == solver)
-            if PROCESS_START_S + solving_s > end - perf_counter():
-                missed.append((shape, method, f"memory of {solver}"))
-                continue
-            peak = peak_memory(
-                simulated(shape, part.recording), bench.estimator(method, solver, shape)
-            )
-            part_frames = [
-                replace(frame, memory_mb=peak) if frame.solver == solver else frame
-                for frame in part_frames
-            ]
-        frames += part_frames
-    return Bench(bench, tuple(frames), tuple(missed))
+    for done, (number, shape, method) in enumerate(parts):
+        name = f"{shape[0]} × {shape[1]} {method}, recording {number + 1}"
+        on_step(done, len(parts), name)
+        frames += _frames(bench, simulated(shape, number), shape, method)
+    return Bench(bench, tuple(frames))
 
 
 def _frames(
-    bench: BenchFile, recording: Recording, part: BenchPart, end: float
+    bench: BenchFile, recording: Recording, shape: common.Shape, method: str
 ) -> Iterator[BenchFrame]:
-    """Solve every frame by all solvers, until less time is left than the last frame took."""
+    """Solve every frame by all solvers."""
     readings = recording.readings()
-    matrix = laplacian(np.ones(part.shape))[1:, 1:]
-    stream = first_stream(recording, readings, bench.estimator(part.method, "reduced", part.shape))
+    matrix = laplacian(np.ones(shape))[1:, 1:]
+    stream = first_stream(recording, readings, bench.estimator(method, "reduced", shape))
     # Without it, the first frame is a cold start.
     start = stream.previous if stream.estimator.relative else None
     streams = {
-        name: replace(
-            stream, estimator=bench.estimator(part.method, name, part.shape), previous=start
-        )
-        for name in bench.solvers(part.shape)
+        name: replace(stream, estimator=bench.estimator(method, name, shape), previous=start)
+        for name in bench.solvers(shape)
     }
     kind = "pair" if stream.estimator.joint_start else "first"
     for number, frame in enumerate(recording.measured_frames()):
-        begin = perf_counter()
         turns = list[dict[str, Pushed]]()
         for _ in range(bench.repeats if number else 1):
             turns.append({name: pushed(each, readings[frame]) for name, each in streams.items()})
@@ -315,7 +240,7 @@ def _frames(
             gap = (turn.objective - leader.objective) / size if solution.solved else np.inf
             yield BenchFrame(
                 **outcome(recording, turn.step),
-                method=part.method,
+                method=method,
                 solver=name,
                 frame=number,
                 seconds=min(turn[name].seconds for turn in turns),
@@ -331,31 +256,20 @@ def _frames(
             )
             for name, stream in streams.items()
         }
-        if perf_counter() - begin > end - perf_counter():
-            return
 
 
 ALL = "all"  # methods together
-GROWTH_FROM = 32  # rows and columns of the smallest panel of which growth is measured
 PROBLEM = attrgetter("rows", "columns", "method", "frames")  # of rows that differ in their solvers
 
 
 def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
-    """Return rows by panel, method (all together first), solver, and first or later frames.
-
-    Panels on which a method was left out have no row of all methods.
-    """
-    methods = {frame.method for frame in frames}
+    """Return rows by panel, method (all together first), solver, and first or later frames."""
     rows: list[study.Row] = []
     for panel in grouped(frames, lambda frame: frame.shape).values():
         for name, chosen in {ALL: panel, **grouped(panel, lambda frame: frame.method)}.items():
             for several in grouped(chosen, lambda frame: frame.solver).values():
                 kinds = grouped(several, lambda frame: frame.frame > 0).values()
-                rows += [
-                    _row(name, timed)
-                    for timed in kinds
-                    if name != ALL or {frame.method for frame in timed} == methods
-                ]
+                rows += [_row(name, timed) for timed in kinds]
     reduced = {PROBLEM(row): row.ms for row in rows if row.solver == "reduced"}
     for row in rows:
         row.ratio = row.ms / reduced[PROBLEM(row)] if PROBLEM(row) in reduced else None
@@ -386,41 +300,9 @@ def _row(method: str, measured: Sequence[BenchFrame]) -> study.Row:
         count=len(measured),
         verified=sum(frame.verified for frame in measured),
         solved=sum(frame.solved for frame in measured),
-        memory_mb=max(
-            (frame.memory_mb for frame in measured if frame.memory_mb is not None), default=None
-        ),
     )
 
 
-def growth(rows: Sequence[study.Row]) -> list[study.Row]:
-    """Fit time ∝ side^exponent, side = (rows + columns)/2, by solver, method and kind of frames.
-
-    The fit is a least-squares line through the logarithms of `ms` of two or more panels with sides
-    of at least 32. A row has the standard error of the exponent, None with two panels, and the
-    largest side.
-    """
-    from scipy.stats import linregress  # takes 0.3 s, which other studies do without
-
-    large = [row for row in rows if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
-    exponents = []
-    for group, group_rows in grouped(large, attrgetter(*GROWTH[:3])).items():
-        sides = [(row.rows + row.columns) / 2 for row in group_rows]
-        if len(sides) > 1:
-            line = linregress(np.log(sides), np.log([row.ms for row in group_rows]))
-            error = float(line.stderr) if len(sides) > 2 else None
-            figures = (*group, float(line.slope), error, len(sides), max(sides))
-            exponents.append(study.Row(**dict(zip(GROWTH, figures, strict=True))))
-    return exponents
-
-
-GROWTH = ("solver", "method", "frames", "exponent", "standard_error", "panels", "largest")
-GROWTH_SCREEN = {
-    "solver": "{solver}",
-    "method": "{method}",
-    "frames": "{frames}",
-    "exponent of the side": "{exponent:.2f} ± {standard_error:.2f}",
-    "panels": f"{{panels}}, {GROWTH_FROM} to {{largest:.0f}}",
-}
 SCREEN: Columns = {
     "panel": "{rows} × {columns}",
     "solver": "{solver}",
@@ -439,7 +321,6 @@ SCREEN: Columns = {
         text_of(row.gap, ".0e") if row.gap is None or row.gap > MIN_GAP else f"< {MIN_GAP:.0e}"
     ),
     "verified": "{verified}/{count}",
-    "MB": "{memory_mb:.0f}",
 }
 
 
@@ -455,31 +336,16 @@ def sheets(bench: Bench) -> list[study.Sheet]:
     titled: list[study.Sheet] = [
         ("solvers: all methods together", totals, without("method", "quartiles")),
         ("methods: the reduced solver", ours, without("solver")),
-        ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
     ]
     return [sheet for sheet in titled if sheet[1]]
 
 
 def bench_remarks(bench: Bench) -> list[str]:
-    """Return sentences on limits and on parts that were left out."""
-    settings = bench.settings
-    largest = max(max(shape) for shape in settings.shapes)
-    limited = [
-        f"{name} {limit}" for name, limit in vars(settings.limits).items() if limit < largest
-    ]
-    lines = [f"not run beyond these sides (limits): {', '.join(limited)}"] if limited else []
-    panels: dict[tuple[str, str], list[str]] = {}  # of which the same was left out
-    for (shape, part), omissions in grouped(
-        bench.left_out, lambda left_out: (left_out[0], left_out[2])
-    ).items():
-        methods = [method for _, method, _ in omissions]
-        named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
-        panels.setdefault((part, named), []).append(f"{shape[0]} × {shape[1]}")
-    reason = f"left out, would not end within {settings.budget_s:g} s"
-    return lines + [
-        f"{reason}: {part}: {named} at {', '.join(several)}"
-        for (part, named), several in panels.items()
-    ]
+    """Return the limits of panels, if any panel exceeds one."""
+    largest = max(max(shape) for shape in bench.settings.shapes)
+    limits = vars(bench.settings.limits).items()
+    limited = [f"{name} {limit}" for name, limit in limits if limit < largest]
+    return [f"not run beyond these sides (limits): {', '.join(limited)}"] if limited else []
 
 
 STUDY: study.Study[BenchFile, Bench] = study.Study(
@@ -492,6 +358,5 @@ STUDY: study.Study[BenchFile, Bench] = study.Study(
     sheets=sheets,
     form="bench/3",
     records=lambda bench: [study.RecordGroup("frames", bench.frames, "seconds")],
-    texts=lambda bench: {"growth.csv": study.csv_of(growth(bench_rows(bench.frames)), GROWTH)},
     remarks=bench_remarks,
 )

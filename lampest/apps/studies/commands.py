@@ -18,11 +18,10 @@ Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]")]
 STUDIES = {
     "bench": (
         "lampest.apps.studies.bench",
-        """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced and nodal.
+        """Compare solvers over panel sizes: time and accuracy; reduced and nodal.
 
         Writes bench.csv (a row for every panel, method, solver and first, joint or later frames),
-        growth.csv, bench.md and bench.h5 with every frame. Cases beyond the file's limits or
-        budget are named.
+        bench.md and bench.h5 with every frame. Panels beyond the file's limits are named.
         """,
     ),
     "tradeoff": (

@@ -1,12 +1,11 @@
 """Common parts of studies.
 
-The parts are methods, panels, a lamprey's mouth, timed frames, clocks, and peak memory.
+The parts are methods, panels, a lamprey's mouth, timed frames, and clocks.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 from time import perf_counter, process_time
 from timeit import Timer
 from typing import Any, NamedTuple, TypeVar
@@ -18,7 +17,6 @@ from lampest.cost.terms import Term, term_types
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.methods.method import Method
-from lampest.estimate.sequence import reconstruct
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.document import read_document, validated
@@ -36,7 +34,6 @@ from lampest.recording.simulation.file import read_simulations
 from lampest.recording.simulation.simulation import Simulation
 from lampest.recording.stored import joined
 from lampest.runs.config import Terms, named_members
-from lampest.runs.executors import Processes
 from lampest.solvers.posed import Bounds
 from lampest.solvers.solution import STRICT, Settings
 
@@ -119,7 +116,6 @@ def simple_scene(shape: Shape, readout: TwoPointReadout, lines: Lines | None = N
 
 Result = TypeVar("Result")
 MIN_GAP = 1e-12  # less is rounding
-STATUS = Path("/proc/self/status")  # memory of a process, on Linux
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,9 +136,6 @@ class TimedFrame:
     iterations: int = column("1", "iterations of the solver")
     solved: bool = column("1", "1: solved, 0: failed")
     status: str = column("1", "how the solve ended")
-    memory_mb: float | None = column(
-        "10^6 byte", "peak of a fresh process, NaN: not measured", None
-    )
 
     @property
     def shape(self) -> Shape:
@@ -217,20 +210,3 @@ def first_frames(recording: Recording, count: int) -> Recording:
     chosen = recording.role == UNLOADED
     chosen[measured] = True
     return joined((recording,), chosen)
-
-
-def peak_memory(recording: Recording, estimator: Estimator) -> float:
-    """Return the peak resident size, 10⁶ bytes, of a fresh process; NaN if it died.
-
-    The process solves two frames in sequence. Unlike tracemalloc, this includes compiled costs and
-    IPOPT's factors.
-    """
-    ((_, megabytes),) = Processes(1).results(_peak_of, [(first_frames(recording, 2), estimator)])
-    return np.nan if isinstance(megabytes, Exception) else float(megabytes)
-
-
-def _peak_of(task: tuple[Recording, Estimator]) -> float:
-    """Return the peak resident size of this process after a reconstruction, 10⁶ bytes."""
-    reconstruct(*task)
-    line = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))
-    return float(line.split()[1]) * 1024 / 1e6

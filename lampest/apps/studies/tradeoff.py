@@ -22,7 +22,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lampest.apps.studies import common, study
-from lampest.apps.studies.common import MIN_GAP, TimedFrame, outcome, peak_memory
+from lampest.apps.studies.common import MIN_GAP, TimedFrame, outcome
 from lampest.apps.studies.study import OnStep, column, read_settings
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
@@ -147,8 +147,6 @@ class TradeoffFile(Configuration):
         Maximal number of measured frames of each recording.
     repeats, patience_s
         Number of passes of every formulation through a recording; none begins after `patience_s`.
-    memory
-        Method for the measurement of peak memory, if any.
     solver
         Tolerance and iterations of all solvers.
     limits
@@ -171,7 +169,6 @@ class TradeoffFile(Configuration):
     frames: int = 5
     repeats: int = 3
     patience_s: float = 3.0
-    memory: str | None = None
     solver: Settings = Settings()
     limits: TradeoffLimits = TradeoffLimits()
 
@@ -191,8 +188,6 @@ class TradeoffFile(Configuration):
         check_ranges(self, 2, 1000, "frames")
         check_ranges(self, 1, 1000, "repeats")
         check_not_negative(self, "patience_s")
-        if self.memory is not None and self.memory not in self.estimators:
-            raise ValueError(f"memory: {self.memory} is none of the estimators")
 
     @property
     def ladder(self) -> dict[str, Method]:
@@ -272,28 +267,16 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list
 
     `on_step` receives the numbers of finished and of all parts.
     """
-    settings = plan.settings
-    first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
-    timed = [
+    parts = [
         (recording, method)
         for recording in plan.recordings
-        for method in settings.methods(recording.scene.panel.shape)
+        for method in plan.settings.methods(recording.scene.panel.shape)
     ]
-    weighed = [
-        (shape, rung) for shape in first for rung in settings.rungs(shape) if settings.memory
-    ]
-    parts = len(timed) + len(weighed)
     measured = list[TradeoffFrame]()
-    for done, (recording, method) in enumerate(timed, 1):
-        measured += _measure(settings, recording, method)
-        on_step(done, parts)
-    memory = {}
-    for done, (shape, rung) in enumerate(weighed, len(timed) + 1):
-        method_of_memory = settings.estimators[str(settings.memory)]
-        estimator = method_of_memory.estimator(settings.ladder[rung], settings.solver)
-        memory[shape, rung] = peak_memory(first[shape], estimator)
-        on_step(done, parts)
-    return [replace(frame, memory_mb=memory.get((frame.shape, frame.solver))) for frame in measured]
+    for done, part in enumerate(parts, 1):
+        measured += _measure(plan.settings, *part)
+        on_step(done, len(parts))
+    return measured
 
 
 def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Iterator[TradeoffFrame]:
@@ -410,7 +393,6 @@ SCREEN: Columns = {
     "gap median / worst": "{gap:.0e} / {worst_gap:.0e}",
     "reached [%]": lambda row: f"{100 * row.reached:.0f}",
     "failed": "{failed}/{frames}",
-    "memory [MB]": "{memory_mb:.0f}",
     "front": "{front}",
 }
 
@@ -454,7 +436,6 @@ def _row(measured: Sequence[TradeoffFrame]) -> study.Row:
         reached=float(np.mean(np.array(gaps) <= 1e-6)),
         frames=len(measured),
         failed=sum(not frame.solved for frame in measured),
-        memory_mb=measured[0].memory_mb,
     )
 
 

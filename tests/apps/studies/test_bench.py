@@ -96,7 +96,6 @@ def test_all_solvers_agree_on_solved_frames() -> None:
         if frame.solver in ("reduced", "nodal"):
             assert frame.solved and (not frame.frame or frame.gap < SAME_COST), frame
         assert not frame.verified or 0 <= frame.gap < NEAR_COST, frame
-    assert tiny.left_out == ()
 
 
 @pytest.mark.slow
@@ -141,10 +140,10 @@ def test_pages_show_tables_that_the_bench_writes() -> None:
     assert marks and set(marks) <= set(written)
     assert "| run | 10 × 10 | 3.00 | 1.50 | 0.50 | 6 |" in written["commands"]
     text = (
-        "before\n<!-- bench: growth -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown "
+        "before\n<!-- bench: methods -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown "
         "-->\n<!-- /bench -->\n"
     )
-    assert with_tables(text, {"growth": "| new |\n"}) == text.replace("old", "\n| new |\n")
+    assert with_tables(text, {"methods": "| new |\n"}) == text.replace("old", "\n| new |\n")
 
 
 @pytest.mark.parametrize("method", BenchFile(1, (3,)).estimators)
@@ -176,7 +175,7 @@ def test_the_jacobian_is_that_of_the_residuals_of_the_cost(method: str, joint: b
 def test_shipped_benchmarks_are_valid(name: str) -> None:
     bench = read_bench(ROOT / "configs" / f"{name}.yaml")
     assert list(bench.estimators) == ["LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR"]
-    assert {(10, 10), (32, 32), (100, 100), (200, 200)} <= set(bench.shapes)
+    assert {(10, 10), (16, 16), (32, 32)} <= set(bench.shapes)
     assert bench.solvers((10, 10)) == SOLVERS
     assert bench.solvers((200, 200)) == ("reduced",)
     assert replace(bench, readout=BenchFile(1, (3,)).readout) == bench
