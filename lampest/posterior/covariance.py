@@ -314,7 +314,10 @@ class DenseErrors:
         as large as the 95 % quantile of the other residuals of the term.
         """
         model = self.model
-        squares = model.penalty_squares
+        # ω x̂²/s²; 0 of sites, which fit the data
+        squares = model.penalty_curvature * model.penalty**2 / model.scale
+        if model.sites is not None:
+            squares[model.sites.rows] = 0.0
         unread = model.unread_rows
         widened = np.maximum(1.0, squares)
         for number in np.unique(model.penalty_term):
@@ -327,8 +330,12 @@ class DenseErrors:
             if blind.any() and read.any():
                 far = np.quantile(squares[read], LEVEL, method="higher") / TWO_SIDED**2
                 widened[blind] = np.maximum(widened[blind], far)
-        previous = None if self.before is None else self.before.variance()
-        return widened - model.known_share(previous)
+        # B, the previous frame's share of the variance, of terms that weigh its error
+        weighing = np.array([term.weighs_previous for term in model.at.cost.terms])
+        if self.before is not None and weighing.any():
+            share = model.known_jacobians[0].power(2) @ self.before.variance()
+            widened -= weighing[model.penalty_term] * np.minimum(share, 1.0)
+        return widened
 
     def reading_deviation(self) -> Array:
         """Return the standard deviation √diag(F S Fᵀ) of the modelled readings f(r̂).

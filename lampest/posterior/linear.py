@@ -154,7 +154,7 @@ class LinearModel:
     def noise(self) -> Array:
         """Standard deviations τ of the data, (data rows,)."""
         noise = self.at.data.deviation if self.deviation is None else self.deviation
-        return np.asarray(np.sqrt(_squares(self.through) @ noise.ravel() ** 2))
+        return np.asarray(np.sqrt(self.through.power(2) @ noise.ravel() ** 2))
 
     @cached_property
     def data_curvature(self) -> Array:
@@ -230,14 +230,6 @@ class LinearModel:
             dual = self.dual[dual_term == number]
             slopes[self.penalty_term == number] = self.at.weights[number] * dual / 2
         return slopes
-
-    @property
-    def penalty_squares(self) -> Array:
-        """Squares ω x̂²/s² of the penalties, (penalty rows,); 0 of sites, which fit the data."""
-        squares = self.penalty_curvature * self.penalty**2 / self.scale
-        if self.sites is not None:
-            squares[self.sites.rows] = 0.0
-        return squares
 
     @cached_property
     def penalty_term(self) -> Numbers:
@@ -320,18 +312,6 @@ class LinearModel:
         """
         by_previous, by_baseline = self.known_jacobians
         return np.asarray(by_previous @ changes[0] + by_baseline @ changes[1])
-
-    def known_share(self, variance: Array | None) -> Array:
-        """Return B, the previous frame's share of every penalty row's variance, (penalty rows,).
-
-        The share is zero for terms that do not weigh the previous frame's error. `variance` is that
-        of the previous frame's log r, (cells,), or None.
-        """
-        weighing = np.array([term.weighs_previous for term in self.at.cost.terms])
-        if variance is None or not weighing.any():
-            return np.zeros(len(self.penalty_term))
-        share = np.minimum(_squares(self.known_jacobians[0]) @ variance, 1.0)
-        return np.asarray(weighing[self.penalty_term] * share)
 
 
 def positive_inverse(matrix: Array) -> Array:
@@ -433,11 +413,6 @@ def curved_rows(cost: Cost, term: Numbers) -> Iterator[tuple[int, Loss, Mask]]:
         rows = term == number
         if not part.loss.squared and rows.any():
             yield number, part.loss, rows
-
-
-def _squares(rows: sparse.csc_array) -> sparse.csc_array:
-    """Return the squares of the entries of a sparse matrix."""
-    return with_entries(rows, rows.data**2)
 
 
 @lru_cache(maxsize=64)

@@ -406,7 +406,14 @@ class Hessian:
             cross = cells[:, None] * (self.terms[:count, count:] @ jacobian)
             matrix += cross + cross.T
         if len(self.at.cost.slope):
-            matrix += self._kinked_matrix
+            # + (∂x/∂u)ᵀ diag(w·ψ'') ∂x/∂u of the absolute losses
+            by_cells = by_log(self.kinked[:, :count], self.cells)
+            by_reading = self.kinked[:, count:]
+            if by_reading.nnz:
+                by_log_r = by_cells.toarray() + by_reading @ jacobian
+                matrix += weighted_square(by_log_r, self._kinks)
+            else:
+                matrix += square_of_rows(sparse.csr_array(by_cells), self._kinks)
         # + diag(r ∂φ/∂r − Jᵀ ∂φ/∂y)
         np.einsum("...ii->...i", matrix)[...] += self.direct - self.through
         return matrix
@@ -418,16 +425,6 @@ class Hessian:
             weighted_square(self.jacobian, self.reading_weight.ravel())
             + self.penalty_matrix.toarray()
         )
-
-    @property
-    def _kinked_matrix(self) -> Array:
-        """Part (∂x/∂u)ᵀ diag(w·ψ'') ∂x/∂u of the absolute losses in the Hessian, dense."""
-        cells = self.cells
-        by_cells = by_log(self.kinked[:, : cells.size], cells)
-        by_reading = self.kinked[:, cells.size :]
-        if not by_reading.nnz:
-            return square_of_rows(sparse.csr_array(by_cells), self._kinks)
-        return weighted_square(by_cells.toarray() + by_reading @ self.jacobian, self._kinks)
 
     @cached_property
     def _smooth_terms(self) -> Array:

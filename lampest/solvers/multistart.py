@@ -254,7 +254,7 @@ def searched_starts(solver: Solver, start: Evaluation, ends: Sequence[Solution])
     """Yield starts of a cost with losses that are not convex, (frames, rows, columns) ohm.
 
     The first is the minimum of the relaxed cost, unless that breaks down. Those at which a reading
-    is exchanged follow.
+    is exchanged follow, until none leads to a lower minimum.
 
     Parameters
     ----------
@@ -268,11 +268,6 @@ def searched_starts(solver: Solver, start: Evaluation, ends: Sequence[Solution])
     with suppress(*BROKEN):
         begin = Evaluation.at(cost, start.data, start.cell_resistance)
         yield replace(solver, cost=cost).solve(start.data, begin).cell_resistance
-    yield from exchanging_starts(ends)
-
-
-def exchanging_starts(ends: Sequence[Solution]) -> Iterator[Array]:
-    """Yield starts at which one reading is exchanged, until none leads to a lower minimum."""
     lowest = None
     while (best := reduce(lower_of, ends, None)) is not lowest and best is not None:
         lowest = best

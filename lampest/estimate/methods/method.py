@@ -446,7 +446,15 @@ class OptimalMethod(Method):
         """
         solution = best_solution(solver, data, previous, prepared)
         is_newton = solver.cells_alone
-        astray = not is_newton and previous is not None and _elsewhere(solution, data, previous)
+        # Of several panels that read alike, IPOPT may end at another one than it began at, because
+        # it moves away from its start; Newton's method does not.
+        astray = False
+        several = not is_newton and several_panels(data.readout, *data.measured.shape[-2:])
+        if several and previous is not None and solution.solved:
+            from lampest.inference.circuits.alike import STILL
+
+            moved = np.abs(np.log(solution.cell_resistance / previous))
+            astray = bool(np.median(moved) > STILL)
         enough = solution.optimum if is_newton else solution.strict
         many = is_newton and solver.cost.panel.crossings > FALLBACK_CELLS
         if not astray and (self.kind != "auto" or enough or many or data.overdue):
@@ -463,19 +471,6 @@ class OptimalMethod(Method):
         """Return the state of a single frame's solution that the next one carries, else None."""
         single = len(solution.cell_resistance) == 1
         return solution.carried if solution.solved and single else None
-
-
-def _elsewhere(solution: Solution, data: Data, start: Array) -> bool:
-    """Return whether a solve ended at another panel than it began at, of several that read alike.
-
-    IPOPT moves away from its start, and Newton's method does not.
-    """
-    if not (solution.solved and several_panels(data.readout, *start.shape[-2:])):
-        return False
-    from lampest.inference.circuits.alike import STILL
-
-    moved = np.abs(np.log(solution.cell_resistance / start))
-    return bool(np.median(moved) > STILL)
 
 
 @lru_cache(maxsize=32)
