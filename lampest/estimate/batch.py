@@ -253,7 +253,7 @@ def _solved_batch(
         background = replace(background, previous=previous, baseline=resting)
     data = estimator.data(frames, background)
     cost = estimator.cost(streams[0].scene, 1, partial=data.partial)
-    if not serves(cost, data):
+    if not serves(cost):
         return {}, inverses
     data = data.of_panels()
     weights = np.array(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import NO_DUAL, Data, Evaluation
+from lampest.cost.problem import NO_DUAL, Evaluation
 from lampest.panel.panel import Array, Mask, Numbers
 from lampest.solvers.bounds import MILLIONTH
 from lampest.solvers.certificate import clear_of_rounding
@@ -183,17 +183,16 @@ class BatchOutcome:
     inverses: InverseHessians
 
 
-def serves(cost: Cost, data: Data) -> bool:
-    """Return whether a batch can minimise a cost.
+def serves(cost: Cost) -> bool:
+    """Return whether a batch can minimise a cost of two-point readings without wiring.
 
-    All losses must be smooth and convex, the readings two-point readings without wiring, and no
-    second derivative may couple cells with readings, or readings with each other.
+    All losses must be smooth and convex, and no second derivative may couple cells with readings,
+    or readings with each other.
     """
-    smooth = not any(term.loss.enters == "dual" for term in cost.terms) and cost.convex_losses
-    if not smooth or cost.frames != 1 or data.wiring is not None:
+    if any(term.loss.enters == "dual" for term in cost.terms) or not cost.convex_losses:
         return False
     entries = cost.functions.entries
-    return data.readout.two_point and entries.at_model is not None and not entries.crossed
+    return entries.at_model is not None and not entries.crossed
 
 
 def solve(start: Evaluation, inverses: InverseHessians, settings: Settings) -> BatchOutcome:

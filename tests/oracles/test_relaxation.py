@@ -182,10 +182,9 @@ def test_the_status_names_too_many_readings_for_outliers() -> None:
 
 
 def test_a_batch_leaves_out_losses_that_are_not_convex() -> None:
-    data = frame(0)
     for loss, served in ((Student(corner=3.0), False), (Huber(corner=3.0), True)):
         terms = (Misfit(weighting="noise", loss=loss), TERMS[1])
-        assert serves(Estimator(terms).cost(SCENE, 1, partial=False), data) is served
+        assert serves(Estimator(terms).cost(SCENE, 1, partial=False)) is served
 
 
 def test_the_relaxed_loss_ends_its_square_at_a_tenth_of_the_corner() -> None:
