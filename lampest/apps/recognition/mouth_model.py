@@ -44,7 +44,7 @@ MIN_SQUARE = 1e-6  # mm², of the distance from the centre, where the angle is u
 # Common error of the places of both edges. Assumption: films are cut to a millimetre, and rims are
 # rounded.
 EDGE_MM = 1.1
-COMPLEX_STEP = 2.0**-104  # of derivatives, which have full precision, because nothing is subtracted
+STEP = 1e-6  # of derivatives: beside it, a patch's soft edges are straight
 CLOSED = 0.05  # rounding of d_i/d at 0, so that it stays positive for any width of the rim
 # A change of ln P below `settled` changes nothing that is reported.
 SEARCH = LevenbergMarquardt(evaluations=12, settled=0.03)
@@ -145,13 +145,12 @@ def pressure(panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, A
     pressure : array, shape (rows, columns)
         Mean pressure on the patches, kPa.
     slopes : array, shape (parameters, rows, columns)
-        Derivatives of the pressure by φ, kPa, by complex steps, Im p(φ + ih)/h.
-
-    Source: Squire, Trapp, SIAM Review 40, 110 (1998).
+        Derivatives of the pressure by φ, kPa, by differences.
     """
-    steps = parameters[:, None] + 1j * COMPLEX_STEP * np.eye(len(parameters))
+    count = len(parameters)
+    steps = parameters[:, None] + STEP * np.eye(count, count + 1, 1)
     on_patches = pressure_at_places(panel.places_mm, patch_mm, numbers(steps))
-    return on_patches[0].real, on_patches.imag / COMPLEX_STEP
+    return on_patches[0], (on_patches[1:] - on_patches[0]) / STEP
 
 
 def disc_of(parameters: Array) -> Disc:
@@ -160,10 +159,7 @@ def disc_of(parameters: Array) -> Disc:
 
 
 def numbers(parameters: Array) -> Array:
-    """Return the numbers of the disc and its unevenness, (12, …), of φ (parameters, …).
-
-    They are real or complex.
-    """
+    """Return the numbers of the disc and its unevenness, (12, …), of φ (parameters, …)."""
     x, y, *logarithms, tilt_x, tilt_y = parameters[: -len(EVEN)]
     diameter, width, suction, push = np.exp(logarithms)
     # d_i/d = 1 − 2w/d, smoothly limited to positive values
@@ -207,7 +203,7 @@ def pressure_at_places(places: Array, patch_mm: float, of_load: Array) -> Array:
     patch_mm : float
         Edge of a patch.
     of_load : array, shape (12,) or (12, n)
-        Numbers of `Disc` and of `Unevenness`. Those of n loads differ in their imaginary parts.
+        Numbers of `Disc` and of `Unevenness`. Those of n loads differ by steps of a derivative.
 
     Returns
     -------
@@ -217,7 +213,7 @@ def pressure_at_places(places: Array, patch_mm: float, of_load: Array) -> Array:
     of_load = of_load.reshape(len(of_load), -1, 1, 1)
     disc = Disc(*of_load[: -len(EVEN)])
     form = Unevenness(*of_load[-len(EVEN) :])
-    x_mm, y_mm, diameter, *_, along, across, _, _ = of_load[:, 0, 0, 0].real
+    x_mm, y_mm, diameter, *_, along, across, _, _ = of_load[:, 0, 0, 0]
     soft = patch_mm / POINTS
     longest = 1 + abs(along) + abs(across)
     reach = diameter / 2 * longest + patch_mm / 2 + soft
@@ -227,24 +223,22 @@ def pressure_at_places(places: Array, patch_mm: float, of_load: Array) -> Array:
     # Coordinates in which the elongated disc is round: (u, v) = ((1 − a) x − s y, (1 + a) y − s x).
     u = (1 - form.along) * x - form.across * y
     v = (1 + form.along) * y - form.across * x
-    square = u * u + v * v
-    square = np.where(square.real > MIN_SQUARE, square, MIN_SQUARE)
+    square = np.maximum(u * u + v * v, MIN_SQUARE)
     radius = np.sqrt(square)
     outer = disc.diameter_mm / 2
-    hole = _inside(radius - disc.inner_mm / 2, soft) * (np.real(disc.inner_mm) > 0)
+    hole = _inside(radius - disc.inner_mm / 2, soft) * (disc.inner_mm > 0)
     tilt = (disc.tilt_x * u + disc.tilt_y * v) / outer
     # cos 2θ and sin 2θ
     lobes = (form.lobe_along * (u * u - v * v) + form.lobe_across * 2 * u * v) / square
     rim = disc.rim_kpa * (_inside(radius - outer, soft) - hole) * (1 + tilt + lobes)
-    means = np.zeros((len(u), *near.shape), dtype=of_load.dtype)
+    means = np.zeros((len(u), *near.shape))
     means[:, near] = np.mean(rim + disc.suction_kpa * hole, axis=2)
     return means
 
 
 def _inside(beyond: Array, soft: float) -> Array:
-    """Return a soft indicator, ½ − ¾t + ¼t³ with the real part of t = beyond/soft clipped to ±1."""
-    t = beyond / soft
-    t = np.where(np.abs(t.real) < 1, t, np.sign(t.real))
+    """Return a soft indicator, ½ − ¾t + ¼t³ with t = beyond/soft clipped to ±1."""
+    t = np.clip(beyond / soft, -1.0, 1.0)
     return 0.5 + t * (0.25 * t * t - 0.75)
 
 
