@@ -101,7 +101,7 @@ def field_fit(frame: Observation) -> tuple[CellsUnderPrior, Observation]:
     """Return the most probable field, and the frame without outliers.
 
     x = ln r/r0 is Gaussian with the σ of each cell's state, correlated between neighbours. The
-    states are those of a map of the cells, or of a first field, and have a Potts prior.
+    states are those of free cells, or of a first field, and have a Potts prior.
     """
     field = _field(frame)
     if not field.contradicting.size:
@@ -111,9 +111,9 @@ def field_fit(frame: Observation) -> tuple[CellsUnderPrior, Observation]:
 
 
 def _field(frame: Observation) -> CellsUnderPrior:
-    """Return the more probable field of two, with the states of a map and of the first field."""
+    """Return the more probable field of two, with the states of free cells and of the first field."""
     fields = list[CellsUnderPrior]()
-    start = frame.map
+    start = frame.free_map
     for _ in range(2):
         of_cells = states(frame.panel, start)
         covariance = prior(frame, SD[of_cells].ravel())

@@ -121,7 +121,6 @@ class ModelErrors:
     swaying : of changes of ln r and of ln y that all cells and all readings share: temperature,
         waves, supply.
     residue : of the residue in the film after a load, relative to the load's ln r/r0.
-    mapped : of ln r/r0 of cells on the map in which loads are searched.
 
     Source: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that
     creep by a few percent for each decade of time; the others are assumptions.
@@ -143,7 +142,6 @@ class ModelErrors:
     reading_error: float = 0.0
     swaying: float = 0.1
     residue: float = 0.12
-    mapped: float = 0.5
 
     def of_scene(self, scene: Scene, reading_error: float) -> "ModelErrors":
         """Return the errors that a scene specifies, with each reading's own error.

@@ -369,16 +369,6 @@ class Observation:
         return most_probable(model, start.ravel(), means, prior, MAX_STEP / 10)
 
     @cached_property
-    def map(self) -> Array:
-        """Most probable ln r/r0 of every cell, (rows, columns).
-
-        Cells are independent, with the prior `mapped`.
-        """
-        zero = np.zeros(self.measured.shape)
-        prior = np.full(zero.size, self.baseline.model_errors.mapped**2)
-        return self.cells(zero, prior).state.reshape(zero.shape)
-
-    @cached_property
     def free(self) -> MostProbable:
         """Most probable ln r/r0 of independent cells with the prior N(0, 1).
 

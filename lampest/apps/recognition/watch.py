@@ -479,7 +479,7 @@ class Watch:
         look = self._standing_look
         if self.known or look is None:
             return self.film_sd
-        fall = np.maximum(look.reached - np.abs(frame.map), 0.0).ravel()
+        fall = np.maximum(look.reached - np.abs(frame.free_map), 0.0).ravel()
         return np.maximum(self.film_sd, self.setup.errors.residue * fall)
 
     def _gone(self, time: float) -> "Watch":
