@@ -19,7 +19,6 @@ from lampest.apps.film.pressure import (
 from lampest.apps.film.tare import TareWatch
 from lampest.apps.recognition import mouth_model
 from lampest.apps.recognition.disc_search import TEMPLATES, DiscSearch
-from lampest.apps.recognition.mouth_model import BentSuction
 from lampest.files.typed import members_of, shipped
 from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
 from lampest.inference.unobservable import unobservable_numbers
@@ -368,7 +367,6 @@ RESPONSES = {
         gain=((0.8, 1.0, 1.2),) * 2,
         gain_sd=((0.1, 0.2, 0.3),) * 2,
     ),
-    "bent": BentSuction(exponent=2.0),
 }
 SHAPES = {
     "rod": lp.Rod(
@@ -580,7 +578,6 @@ def mouth_model_row() -> dict[str, Any]:
         "priors": mouth_model.priors(PANEL),
         "start": start,
         "map": mouth_model.pressure(PANEL, 6.0, start),
-        "blind": mouth_model.blind(start),
         "disc": mouth_model.disc_of(start),
         "slopes": steps[:8].imag / 1e-30,
         "starts": [mouth_model.start_of(each) for each in discs],

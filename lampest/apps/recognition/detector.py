@@ -111,7 +111,7 @@ def field_fit(frame: Observation) -> tuple[CellsUnderPrior, Observation]:
 
 
 def _field(frame: Observation) -> CellsUnderPrior:
-    """Return the more probable field of two, with the states of free cells and of the first field."""
+    """Return the more probable of two fields: with the states of free cells, and of the first."""
     fields = list[CellsUnderPrior]()
     start = frame.free_map
     for _ in range(2):
@@ -297,8 +297,7 @@ class Detector(NamedTuple):
             return Verdict(undisturbed, np.zeros(frame.measured.shape), nothing=1.0)
         field, calm = field_fit(frame)
         places = [] if self.any_form else suctions(calm)[:MAX_SUCKING]
-        response = calm.baseline.response
-        discs = [SuckingDisc(calm, place, self.patch_mm, response) for place in places]
+        discs = [SuckingDisc(calm, place, self.patch_mm) for place in places]
         explaining = [disc for disc in discs if disc.goodness < MAX_MEAN_SQUARE]
         return Verdict.of(calm, field, without_load(calm), explaining)
 

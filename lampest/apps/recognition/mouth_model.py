@@ -12,14 +12,12 @@ not cover are free, so that a body next to a mouth does not pull at its rim.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import exp, expm1, log, sqrt
+from math import exp, expm1, hypot, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.special import softmax
 
-from lampest.apps.recognition.hypotheses import EVIDENCE_SHARE
 from lampest.apps.recognition.most_probable import MostProbable, Whitening
 from lampest.apps.recognition.observation import UNEVENNESS, Observation
 from lampest.apps.recognition.suction import Suction, under
@@ -28,10 +26,8 @@ from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import (
     CURVE_KPA,
-    CURVE_RATIO,
     TYPICAL_RESPONSE_SD,
     PublishedResponse,
-    Response,
 )
 from lampest.recording.shapes.disc import Disc, bearing_kpa
 
@@ -51,9 +47,9 @@ SEARCH = LevenbergMarquardt(evaluations=12, settled=0.03)
 COARSE = LevenbergMarquardt(evaluations=6, settled=0.3)
 # Assumed error of a place that readings cannot reduce, mm: patches are glued by hand.
 PLACE_MM = 0.5
-# Alternative exponents of the published curve under suction, beside 1: ln f is known at one point
-# only, through which a straight line or a threshold pass, too.
-EXPONENTS = (1 / 3, 2.0)
+# Exponents a of curves ln f ∝ suctionᵃ through the published point: the published one, nearly a
+# straight line of r, and nearly a threshold of 2 kPa.
+EXPONENTS = np.array([1, 1 / 3, 2])
 
 
 class Unevenness(NamedTuple):
@@ -184,12 +180,6 @@ def start_of(disc: Disc) -> Array:
     return np.array([disc.x_mm, disc.y_mm, *map(log, sizes), disc.tilt_x, disc.tilt_y, *EVEN])
 
 
-def blind(parameters: Array) -> Array:
-    """Return the deviations that readings cannot reduce: EDGE_MM/d of ln d, 0 of all others."""
-    place = NAMES.index("diameter")
-    return np.asarray(np.eye(len(parameters))[place] * (EDGE_MM / exp(parameters[place])))
-
-
 def pressure_at_places(places: Array, patch_mm: float, of_load: Array) -> Array:
     """Return the mean pressure of a load on patches.
 
@@ -242,25 +232,6 @@ def _inside(beyond: Array, soft: float) -> Array:
     return 0.5 + t * (0.25 * t * t - 0.75)
 
 
-@dataclass(frozen=True, kw_only=True)
-class BentSuction(PublishedResponse):
-    """Published curve with a power law for suction through the one published point.
-
-    ln f = 2.02·(p/−10)^exponent. A straight line of r through that point corresponds to exponents
-    of ½ at −5 kPa and ⅓ at −30 kPa, a threshold of 2 kPa to one of about 2.
-    """
-
-    exponent: float
-
-    def logarithm(self, pressure: ArrayLike) -> Array:
-        """Return ln f(p) for pressures in kPa, any shape."""
-        pressure = np.asarray(pressure, dtype=float)
-        # ln f = ln 7.54·(p/−10)^exponent for suction
-        share = np.minimum(pressure, 0.0) / CURVE_KPA[0]
-        rise = np.log(CURVE_RATIO[0]) * share**self.exponent
-        return np.asarray(super().logarithm(np.maximum(pressure, 0.0)) + rise)
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DiscPoint(SumOfSquares):
     """−ln P of a frame about a disc: squares of the readings' errors and of (φ − mean)/sd.
@@ -290,14 +261,11 @@ class SuckingDisc:
     place : Suction
     patch_mm : float
         Edge of a cell's film.
-    response : Response
-        Curve of the film.
     """
 
     frame: Observation
     place: Suction
     patch_mm: float
-    response: Response
 
     @cached_property
     def point(self) -> DiscPoint:
@@ -345,49 +313,37 @@ class SuckingDisc:
     def report(self) -> dict[str, tuple[float, float]]:
         """Place, diameter and suction by their names, each with its standard deviation.
 
-        Value and deviation are those of all curves of the film, by the law of total covariance. A
-        disc that explains the frame poorly is as much less sure. The suction is log-normal.
+        A disc that explains the frame poorly is as much less sure. The suction is log-normal, and
+        the film's curve under suction is known at one point. With an exponent a the same cells rise
+        by s_a, ln s_a = ln s₁₀ + (ln s − ln s₁₀)/a. Value and deviation are those of all curves, as
+        probable as the prior has s_a.
         """
-        _, sd = mean_and_sd(self.frame.panel)
+        prior, sd = mean_and_sd(self.frame.panel)
         # with the precision of the prior, eigenvalues of sd H sd are at least 1
         sizes, axes = np.linalg.eigh(self.point.normal * np.outer(sd, sd))
         covariance = (axes / np.maximum(sizes, 1.0)) @ axes.T * np.outer(sd, sd)
-        points = [self.point]
-        if isinstance(self.response, PublishedResponse):
-            points += map(self._bent, EXPONENTS)
         excess = max(1.0, self.goodness)
-        shares = softmax([-EVIDENCE_SHARE / excess * point.cost for point in points])
-        of_curves = np.array([point.parameters for point in points])
-        mean = shares @ of_curves
-        between = (shares[:, None] * (of_curves - mean)).T @ (of_curves - mean)
-        unseen = blind(mean)
-        unseen[:2] = PLACE_MM
-        covariance = excess * covariance + between + np.diag(unseen**2)
-        x_sd, y_sd, size_sd = np.sqrt(np.diag(covariance))[:3].tolist()
-        x, y, size = mean[:3].tolist()
+        variances = excess * np.diag(covariance)
+        x, y, size, _, middle, *_ = self.point.parameters.tolist()
+        x_sd, y_sd = np.sqrt(variances[:2] + PLACE_MM**2).tolist()
+        diameter = exp(size)
+        diameter_sd = hypot(diameter * sqrt(variances[2]), EDGE_MM)
+        variance = variances[SUCTION]
+        if isinstance(self.frame.baseline.response, PublishedResponse):
+            known = log(-CURVE_KPA[0])
+            of_curves = known + (middle - known) / EXPONENTS
+            far = (of_curves - prior[SUCTION]) / sd[SUCTION]
+            shares = softmax(-(far**2) / 2)
+            middle = shares @ of_curves
+            variance += shares @ (of_curves - middle) ** 2 + TYPICAL_RESPONSE_SD**2
         # ln s ~ N(m, v): E s = e^(m + v/2), var s = (E s)² (e^v − 1)
-        variance = covariance[SUCTION, SUCTION]
-        if isinstance(self.response, PublishedResponse):
-            variance += TYPICAL_RESPONSE_SD**2
-        suction = exp(mean[SUCTION] + variance / 2)
+        suction = exp(middle + variance / 2)
         return {
             "x_mm": (x, x_sd),
             "y_mm": (y, y_sd),
-            "diameter_mm": (exp(size), exp(size) * size_sd),
+            "diameter_mm": (diameter, diameter_sd),
             "suction_kpa": (-suction, suction * sqrt(expm1(variance))),
         }
-
-    def _bent(self, exponent: float) -> DiscPoint:
-        """Return −ln P about the most probable φ with an alternative curve of the film.
-
-        With an exponent a the same rise of cells is that by the suction s_a, ln s_a = ln s₁₀ +
-        (ln s − ln s₁₀)/a, where s₁₀ is the one published point.
-        """
-        gain, gain_sd = self.response.gain, self.response.gain_sd
-        curve = BentSuction(exponent=exponent, gain=gain, gain_sd=gain_sd)
-        start = self.point.parameters.copy()
-        start[SUCTION] += (start[SUCTION] - log(-CURVE_KPA[0])) * (1 / exponent - 1)
-        return replace(self, response=curve)._searched(start, self.errors, COARSE)
 
     @cached_property
     def cells(self) -> MostProbable:
@@ -399,7 +355,7 @@ class SuckingDisc:
         """Return −ln P about φ, with the exact circuit."""
         frame = self.frame
         kpa, by_parameter = pressure(frame.panel, self.patch_mm, parameters)
-        own, response = frame.change(kpa, self.response)
+        own, response = frame.change(kpa)
         slopes = by_parameter.reshape(len(parameters), response.size) * response.ravel()
         covered = under(frame.panel, disc_of(parameters))
         network = frame.baseline.network(np.where(covered, own, frame.free_map))
@@ -427,9 +383,12 @@ class SuckingDisc:
         # response
         kpa, by_parameter = pressure(frame.panel, self.patch_mm, parameters)
         shift = np.hypot(*by_parameter[:2])
-        sizes = (pressure(frame.panel, by * self.patch_mm, parameters)[0] for by in (0.9, 1.1))
+        sizes = (
+            pressure_at_places(frame.panel.places_mm, by * self.patch_mm, numbers(parameters))[0]
+            for by in (0.9, 1.1)
+        )
         own, upper, lower, small, large = (
-            frame.change(end, self.response)[0] for end in (kpa, kpa + shift, kpa - shift, *sizes)
+            frame.change(end)[0] for end in (kpa, kpa + shift, kpa - shift, *sizes)
         )
         explained = np.stack([own, np.abs(upper - lower) / 2, (large - small) / (1.1 - 0.9)])
         uneven, shared = frame.baseline.film_parts(explained)

@@ -280,10 +280,8 @@ class Observation:
         """Return the derivative of f + E δ by ln r, (cells, cells), of a solved network."""
         return self._gain[:, None] * network.sensitivity()
 
-    def change(self, pressure: Array, response: Response | None = None) -> tuple[Array, Array]:
+    def change(self, pressure: Array) -> tuple[Array, Array]:
         """Return the change of cells under pressures (rows, columns) kPa.
-
-        `response` is that of the film, by default the baseline's.
 
         Returns
         -------
@@ -292,7 +290,7 @@ class Observation:
         slope : array, shape (rows, columns)
             dx/dp in 1/kPa.
         """
-        response = response or self.baseline.response
+        response = self.baseline.response
         # kPa, for a central difference: F has corners
         step = 1e-3
         # x = κ (ln F(p + p_w) − ln F(p_w)) at p and p ± step

@@ -13,7 +13,6 @@ from lampest.apps.recognition.disc_search import Template
 from lampest.apps.recognition.mouth_model import EVEN, SuckingDisc, Unevenness, pressure_at_places
 from lampest.apps.recognition.suction import suctions
 from lampest.files.levels import SIGNIFICANT
-from lampest.panel.response import PUBLISHED
 from lampest.recording.shapes import OralDisc
 from lampest.recording.shapes.disc import Disc
 from lampest.recording.shapes.kinds import RoundShape
@@ -48,7 +47,7 @@ def test_any_parameters_of_a_disc_give_finite_readings() -> None:
     rng = np.random.default_rng(4)
     frame = frame_under(load_of(OralDisc), PANEL)
     (place,) = suctions(frame)
-    disc = SuckingDisc(frame, place, PATCH_MM, PUBLISHED)
+    disc = SuckingDisc(frame, place, PATCH_MM)
     mean, sd = mouth_model.mean_and_sd(PANEL)
     for _ in range(60):
         point = disc.at(mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean)), disc.errors)
