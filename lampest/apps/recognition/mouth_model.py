@@ -40,7 +40,7 @@ MIN_SQUARE = 1e-6  # mm², of the distance from the centre, where the angle is u
 # Common error of the places of both edges. Assumption: films are cut to a millimetre, and rims are
 # rounded.
 EDGE_MM = 1.1
-STEP = 1e-6  # of derivatives: beside it, a patch's soft edges are straight
+STEP = 2.0**-26  # of derivatives, √ε: differences then err by rounding as by curvature
 CLOSED = 0.05  # rounding of d_i/d at 0, so that it stays positive for any width of the rim
 # A change of ln P below `settled` changes nothing that is reported.
 SEARCH = LevenbergMarquardt(evaluations=12, settled=0.03)
