@@ -16,7 +16,7 @@ from math import exp
 import numpy as np
 
 from lampest.apps.recognition.attachment import Attachment, attachments_of, continued_by
-from lampest.apps.recognition.breathing import WINDOW_S
+from lampest.apps.recognition.breathing import MIN_WINDOW_S, WINDOW_S
 from lampest.apps.recognition.detector import Verdict, is_as_before, relieved_by_departure
 from lampest.apps.recognition.disc_search import StepTest
 from lampest.apps.recognition.hypotheses import RARE_LOG_ODDS
@@ -539,7 +539,8 @@ class Watch:
 
         Loads are recognised from the median of the frames since the last step. The next look
         follows after twice the time since the step, at the latest after LOOKS_S. One that fails is
-        left out.
+        left out. So is one that shows a further leak within MIN_WINDOW_S of the step: water between
+        lines stays, while the blades of a plant come and go.
         """
         # between two looks, the window has the frames of a departure that is no step
         longest = WINDOW_S if len(self._standing) > 1 else LOOKS_S
@@ -547,6 +548,8 @@ class Watch:
         median = np.median([logarithm for _, logarithm in self._since_step], axis=0)
         try:
             watch, frame = self._with_leaks(median, time)
+            if len(watch.leaks) > len(self.leaks) and time - self.level.since_s < MIN_WINDOW_S:
+                return replace(self, next_s=again)
             verdict = watch.setup.detector.verdict(frame)
         except (ArithmeticError, ValueError) as error:
             logged_reason(error, f"look at {time:.1f} s")

@@ -283,6 +283,13 @@ def test_a_leak_of_a_bare_panel_is_no_load() -> None:
     assert answer.answer == NOTHING and "between row 3 and the next one" in answer.warnings[0]
 
 
+def test_a_leak_is_named_once_readings_have_stayed() -> None:
+    """The blades of a plant along a row come and go sooner."""
+    leak = LineLeak((3,), size=1 / 3e3)
+    first, later = (answered(recording_with(frames=n, leak=(leak, 9))) for n in (12, 16))
+    assert not first.warnings and "between row 3" in later.warnings[0]
+
+
 @pytest.mark.slow
 def test_each_long_visit_is_detected_once_in_constant_memory() -> None:
     """At a frame a second, while the temperature sways readings by 3 % in two hours."""
