@@ -229,7 +229,7 @@ def pressure_at_places(places: Array, patch_mm: float, of_load: Array) -> Array:
 def _inside(beyond: Array, soft: float) -> Array:
     """Return a soft indicator, ½ − ¾t + ¼t³ with t = beyond/soft clipped to ±1."""
     t = np.clip(beyond / soft, -1.0, 1.0)
-    return 0.5 + t * (0.25 * t * t - 0.75)
+    return np.asarray(0.5 + t * (0.25 * t * t - 0.75))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
