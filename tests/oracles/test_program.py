@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-import casadi
 import numpy as np
 import pytest
 from netlist import impedance_of
@@ -17,7 +16,6 @@ from numpy.testing import assert_allclose
 from promises import promise
 
 import lampest
-from lampest import Array
 from lampest.cost.problem import NO_DUAL
 from lampest.estimate.state import Verification, compared
 from lampest.files.levels import Witness
@@ -33,7 +31,6 @@ NOISE = lampest.Misfit(weighting="noise")
 CONVERGED = 2e-6  # of log r: the certificate holds where the next step moves no cell by 1e-6
 MAX_DIFFERENCE = 1e-6  # relative, of costs and sums at a verified optimum
 ROUNDING = 1e-9  # relative
-SAME_NOISE = 0.05  # relative: readings of equal cells have nearly one σ
 METHODS: dict[str, list[lampest.Term]] = {
     "LSM": [lampest.Misfit()],
     "LSR-CR": [lampest.Misfit(), lampest.CellResistance(weight=1e-3)],
@@ -290,111 +287,6 @@ def test_a_program_without_own_parts_reproduces_the_estimate_and_its_error_bars(
     )
 
 
-def test_two_equal_cells_have_one_value_and_smaller_error_bars() -> None:
-    program, _ = own_program()
-    cells = program.cells()
-    free = program.solve()
-    tied = program.subject_to("equal", cells[0, 0] - cells[3, 4]).solve()
-    assert tied.status == "local optimum verified"
-    assert tied.cell_resistance[0, 0, 0] == pytest.approx(
-        tied.cell_resistance[0, 3, 4], rel=ROUNDING
-    )
-    assert (
-        tied.cell_resistance_errors[0, 0, 0] < free.cell_resistance_errors[0, [0, 3], [0, 4]].max()
-    )
-
-
-def test_the_total_conductance_can_be_fixed_or_limited() -> None:
-    program, _ = own_program()
-    total = 1000 * casadi.sum1(casadi.vec(1 / program.cells()))
-    usual = (1000 / program.solve().cell_resistance).sum()
-    given = (1.02 * usual,)
-    limited = (0.0, 0.97 * usual)
-    loose = (0.0, 100.0)
-    for limits, expected in ((given, 1.02 * usual), (limited, 0.97 * usual), (loose, usual)):
-        solved = program.subject_to("total", total, *limits).solve()
-        assert solved.status == "local optimum verified"
-        assert (1000 / solved.cell_resistance).sum() == pytest.approx(expected, rel=MAX_DIFFERENCE)
-
-
-def test_known_resistors_give_a_series_resistance_that_frames_share() -> None:
-    """The formula of a mean.
-
-    The standard deviation is σ/√n where all readings have the same noise.
-    """
-    scene = lampest.Scene(lampest.Panel(4, 5), READOUTS["two_point"])
-    reading = lampest.two_point_resistance(np.full((4, 5), 1000.0))
-    sigma = scene.circuit.sigma(reading)
-    noise = sigma * np.random.default_rng(3).standard_normal((3, 4, 5))
-    recording = lampest.Recording.from_array(
-        reading + 25.0 + noise, unit="ohm", baseline=0, scene=scene
-    )
-    program = lampest.program(
-        recording, [NOISE], frames=[0, 1, 2], bounds=lampest.Bounds("none", "none")
-    )
-    program, series = program.with_unknown("series_ohm", sd=1e3)
-    program = program.with_reading(lambda y: y + series)
-    for frame in range(3):
-        program = program.subject_to(
-            f"resistors {frame}", casadi.vec(program.cells(frame)) / 1000.0, 1.0
-        )
-    solved = program.solve()
-    used = program.evaluations[0].data.sigma.mean()
-    assert solved["series_ohm"][0] == pytest.approx(25.0 + noise.mean(), abs=2 * SAME_NOISE * used)
-    assert solved.errors("series_ohm")[0] == pytest.approx(used / np.sqrt(60), rel=SAME_NOISE)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (
-            lambda program: program.subject_to("own", program.cells()),
-            r"constraint own is 4 × 5, not a column",
-        ),
-        (
-            lambda program: program.subject_to("balance", program.cells()[0, 0] - 1.0),
-            r"has a constraint or a given number balance already",
-        ),
-        (
-            lambda program: program.subject_to("own", casadi.SX(3)),
-            r"constraint own has no derivative by the unknowns conductance",
-        ),
-        (
-            lambda program: program.with_reading(lambda y: y[:3]),
-            r"the changed reading is 3 × 1; it must be 20 × 1",
-        ),
-        (
-            lambda program: program.with_cost(program.reading),
-            r"an own cost is 20 × 1; it must be 1 × 1",
-        ),
-        (
-            lambda program: program.with_unknown("conductance"),
-            r"has an unknown conductance already",
-        ),
-        (
-            lambda program: program.with_unknown("own", lower=2.0, upper=1.0),
-            r"needs lower < upper and sd > 0",
-        ),
-        (lambda program: program.solve()["own"], r"has no own unknown own; it has none"),
-    ],
-)
-def test_errors_of_wrong_own_parts_name_the_required_ones(wrong: Any, message: str) -> None:
-    with pytest.raises(lampest.InputError, match=message):
-        wrong(own_program()[0])
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"frames": [9]}, r"the recording has frames 0 to 2, not 9"),
-        ({"formulation": "reduced"}, r"formulation must be one of nodal, per_pixel"),
-    ],
-)
-def test_wrong_arguments_of_a_program_are_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(lampest.InputError, match=message):
-        own_program(**options)
-
-
 @promise("howto/adding/constraint: A check outside of IPOPT distinguishes a minimum from a saddle")
 def test_an_end_at_a_saddle_is_no_optimum() -> None:
     """The own cost (x² − 1)² has a maximum at 0, where IPOPT begins and stays."""
@@ -410,21 +302,6 @@ def test_an_end_at_a_saddle_is_no_optimum() -> None:
     assert solved["bend"][0] == pytest.approx(1.0) and solved.errors("bend")[0] == pytest.approx(
         0.5
     )
-
-
-def test_an_unknown_that_nothing_determines_has_infinite_error_bars() -> None:
-    program, _ = own_program()
-    solved = program.with_unknown("idle", lower=-1.0, upper=1.0)[0].solve()
-    assert solved.solved and solved.status.startswith("an optimum, but a plateau")
-    assert np.isinf(solved.errors("idle")).all()
-
-
-def test_an_unsolvable_program_has_a_status_and_no_number() -> None:
-    program, _ = own_program()
-    solved = program.subject_to("impossible", program.cells()[0, 0] / 1000.0, 1e-9).solve()
-    assert solved.status != "local optimum verified"
-    values: Array = solved.cell_resistance
-    assert np.isnan(values).all() and np.isnan(solved.cell_resistance_errors).all()
 
 
 @pytest.mark.slow
