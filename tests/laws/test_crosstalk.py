@@ -59,17 +59,6 @@ def test_every_two_point_reading_depends_on_every_cell() -> None:
     assert relative_slopes(random_cells((4, 6), spread=0.3)).min() > 1e-4
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_readings_of_a_uniform_panel_are_the_stated_share_of_its_cells(
-    shape: tuple[int, int],
-) -> None:
-    """R = r (M + N − 1)/(M N)."""
-    rows, columns = shape
-    share = (rows + columns - 1) / (rows * columns)
-    assert_allclose(two_point_resistance(np.full(shape, CELLS)), share * CELLS, rtol=1e-12)
-    assert shape != (10, 10) or share == pytest.approx(0.19)
-
-
 @promise("README: Crosstalk amplifies noise by up to (M + N − 1)/2 on a uniform panel")
 @pytest.mark.parametrize("shape", SHAPES[1:])
 def test_errors_of_a_uniform_panel_grow_by_at_most_half_the_number_of_lines(

@@ -12,7 +12,6 @@ from lampest import Cells, Panel, Scene, Simulation
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.recognition.detect.pressed import pressed_of
 from lampest.inference.prepared import Prepared
-from lampest.inference.readings.outliers import impossible_readings
 from lampest.panel.readouts.floating import exact_two_point_resistance
 from lampest.panel.response import PUBLISHED
 from tests.apps.board.estimated import unchecked_case
@@ -257,32 +256,6 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
         < MAX_PLACE_MM
     )
     assert estimate.result().to_xarray()["x"].dims == ("row", "column")
-
-
-@pytest.mark.slow
-def test_an_impossible_reading_is_left_out() -> None:
-    """One contact fails in every frame.
-
-    The reading goes, the circuit is not blamed, and the cells stay right.
-    """
-    panel = Panel(6, 6)
-    cells = 500 * np.exp(0.3 * np.random.default_rng(3).standard_normal((6, 6)))
-    exact = np.stack([exact_two_point_resistance(cells)] * 4)
-    spoilt = exact.copy()
-    spoilt[:, 2, 3] *= 4
-    scene = Scene(panel, READOUT)
-    recording = recording_of(scene, spoilt, 1)
-    noise = Prepared(recording).noise
-    assert np.array_equal(np.argwhere(noise.outliers), [[frame, 2, 3] for frame in range(4)])
-    places = ", ".join(f"row 2, column 3 of frame {frame}" for frame in range(4))
-    assert noise.warnings == (
-        f"4 readings are larger than any cells allow beside the others: {places}; left out",
-    )
-    assert Prepared(recording).check.mark == "yes"
-    wrong = exact.copy()
-    wrong[:, 2:4, 1:5] *= 4
-    assert not impossible_readings(scene.circuit, lampest.Readings.of(scene, wrong)).any()
-    assert Prepared(recording_of(scene, wrong, 1)).check.mark == "no"
 
 
 def test_a_frame_of_bounds_is_checked_by_the_circuit_laws_alone() -> None:

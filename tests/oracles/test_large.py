@@ -12,10 +12,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lampest import (
-    Absolute,
     Array,
     Estimator,
-    Huber,
     Panel,
     Readings,
     Scene,
@@ -26,89 +24,18 @@ from lampest import (
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import (
-    CellResistance,
     Gradient,
-    GradientOfRelativeChange,
     Misfit,
-    RelativeChange,
-    Term,
 )
-from lampest.estimate.sequence import reconstruct
-from lampest.panel.kirchhoff import Stencil
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.solvers import hessian, interior_point, projected_newton
 from lampest.solvers.interior_point import Barrier, central_path
 from lampest.solvers.multistart import solved_from
-from tests.estimates import recording_of
 
-SHAPE = (6, 8)
 SAME_COST = 1e-6  # relative, or absolute where the cost is all but zero: optima agree to it
 STEP = 1e-6  # of differences, relative
 MAX_ITERATIONS = 40  # for 360 cells, of which 64 have negative curvature
 FAR_BELOW = 0.1  # of the cost of equal cells
-ESTIMATORS: dict[str, tuple[Term, ...]] = {
-    "LSM": (Misfit(),),
-    "weighted": (Misfit(weighting="noise"),),
-    "LSR-CR": (Misfit(), CellResistance(weight=1e-3)),
-    "LSR-dCR": (Misfit(), RelativeChange(weight=10)),
-    "LSR-gCR": (Misfit(), Gradient(weight=1e-3)),
-    "LSR-gdCR": (Misfit(), GradientOfRelativeChange(weight=10)),
-    "Huber": (Misfit(loss=Huber(corner=2.0)), Gradient(weight=1e-3)),
-    "absolute": (Misfit(), Gradient(weight=1.0, loss=Absolute())),
-}
-
-
-# Absolute penalties have several minima where the noise is strong, and either way may end in
-# another.
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("name", "noise"),
-    [
-        (name, noise)
-        for name in ESTIMATORS
-        for noise in (1.0, 5.0)
-        if (name, noise) != ("absolute", 5.0)
-    ],
-)
-def test_estimates_by_products_and_by_factors_agree(
-    name: str, noise: float, request: pytest.FixtureRequest
-) -> None:
-    """One unloaded frame and two with a pressed ring, noise in units of the readout's σ."""
-    generator = np.random.default_rng(5)
-    truth = np.repeat(3000 * np.exp(0.2 * generator.standard_normal((1, *SHAPE))), 3, axis=0)
-    truth[1:, 1:5, 2:6] *= 0.3
-    truth[1:, 2:4, 3:5] *= 12
-    readout = TwoPointReadout()
-    exact = two_point_resistance(truth)
-    resistance = exact + noise * readout.sigma(exact) * generator.standard_normal(exact.shape)
-    assert_allclose(readout.recorded_from_volt(readout.volt_from_recorded(exact)), exact)
-    recorded = recording_of(Scene(Panel(*SHAPE), readout), resistance, 1)
-    estimator = Estimator(ESTIMATORS[name], formulation="reduced")
-    factored = reconstruct(recorded, estimator)
-    request.getfixturevalue("by_products")
-    products = reconstruct(recorded, estimator)
-    for factored_step, product_step in zip(factored.steps, products.steps, strict=True):
-        assert factored_step.solution.solved
-        assert product_step.solution.solved
-        assert product_step.solution.objective == pytest.approx(
-            factored_step.solution.objective, rel=SAME_COST, abs=SAME_COST
-        )
-
-
-def test_the_stencil_inverts_its_operator() -> None:
-    generator = np.random.default_rng(2)
-    conductance = np.exp(generator.standard_normal((4, 5)))
-    resistance = two_point_resistance(1 / conductance)
-    free = generator.random((4, 5)) < 0.7
-    stencil = Stencil.of(conductance, resistance, free)
-    row, column = np.divmod(np.arange(20), 5)
-    matrix = np.diag(1 / np.where(free, stencil.diagonal, 1.0).ravel())
-    matrix += (row[:, None] == row) / conductance.sum(axis=1)[row] ** 2
-    matrix += (column[:, None] == column) / conductance.sum(axis=0)[column] ** 2
-    chosen = np.flatnonzero(free)
-    values = generator.standard_normal(20)
-    expected = np.linalg.solve(matrix[np.ix_(chosen, chosen)], values[chosen])
-    assert_allclose(stencil.solve(values.reshape(4, 5)).ravel()[chosen], expected, rtol=1e-10)
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from promises import promise
 
 from lampest import (
     Array,
-    Bounds,
     Estimator,
     GroundedReadout,
     Panel,
@@ -21,7 +20,7 @@ from lampest import (
 )
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Squared
-from lampest.cost.terms import CellResistance, Gradient, LogRatio, Misfit
+from lampest.cost.terms import Gradient, LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.solvers.multistart import evaluated, solved_from
@@ -117,19 +116,6 @@ def test_a_cell_without_a_finite_optimum_ends_at_the_resolution(formulation: Any
     reading, response = Circuit("two_point").reading(solution.cell_resistance[0])
     slope = (reading - recorded.resistance[0]).ravel() @ response
     assert np.all(slope[solution.open_cell.ravel()] < 0)
-
-
-@pytest.mark.parametrize("lower", ["none", 1e-3, 1.0])
-def test_a_single_row_has_a_closed_form(lower: Any) -> None:
-    """1 × N: f(r) = r, so LSM gives R and LSR-CR gives R/(1 + λ)."""
-    recorded = recording(truth((1, 6), 2, 13), 1e-3, unloaded=1)
-    bounds = Bounds(lower, "none")
-    plain = reconstruct(recorded, Estimator((Misfit(),), bounds=bounds))
-    assert_allclose(plain.cell_resistance[0], recorded.resistance[1], rtol=1e-6)
-    tikhonov = reconstruct(
-        recorded, Estimator((Misfit(), CellResistance(weight=1e-3)), bounds=bounds)
-    )
-    assert_allclose(tikhonov.cell_resistance[0], recorded.resistance[1] / (1 + 1e-3), rtol=1e-6)
 
 
 @pytest.mark.parametrize("weight", [35.0, 200.0])

@@ -132,65 +132,6 @@ def test_every_circuit_with_potentials_agrees_with_its_netlist(name: str) -> Non
     assert_allclose(recorded(readout, cells), volts(cells, readout), rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.slow
-def test_random_circuits_agree_with_their_netlists() -> None:
-    rng = np.random.default_rng(11)
-    for seed in range(100):
-        shape = (int(rng.integers(2, 7)), int(rng.integers(2, 7)))
-        ohm = np.exp(rng.uniform(np.log(10), np.log(1e5), 4))
-        volt = rng.uniform(-5, 5, 4)
-        readout = DrivenReadout(
-            driven=rng.choice(["rows", "columns"]),
-            drive_ohm=float(ohm[0]),
-            idle_ohm=float(ohm[1]),
-            load_ohm=float(ohm[2]),
-            idle_load_ohm=float(ohm[3]),
-            drive_volt=float(abs(volt[0]) + 0.1),
-            idle_volt="follows" if seed % 4 == 0 else float(volt[1]),
-            load_volt=float(volt[2]),
-            idle_load_volt=float(volt[3]),
-        )
-        cells = cells_of(seed, shape, contrast=2.0)
-        assert_allclose(
-            recorded(readout, cells), volts(cells, readout), rtol=1e-9, atol=1e-9, err_msg=str(seed)
-        )
-
-
-@pytest.mark.parametrize("name", [*OTHERS, *list(combinations())[::7]])
-def test_derivatives_are_those_of_the_readings(name: str) -> None:
-    readout = (OTHERS | combinations())[name]
-    cells = cells_of(3)
-    shape = cells.shape
-    network = readout.network(cells, readout.ties(cells))
-    jacobian = network.sensitivity()
-    step = np.random.default_rng(1).normal(size=shape)
-    weights = np.random.default_rng(2).normal(size=shape)
-    size = 1e-5
-
-    def at(position: float) -> Any:
-        moved = cells * np.exp(position * step)
-        return readout.network(moved, readout.ties(moved))
-
-    ahead, behind = at(size), at(-size)
-    change = (ahead.reading() - behind.reading()) / (2 * size)
-    largest = np.abs(change).max()
-    assert_allclose(network.forward(step), change, atol=1e-7 * largest)
-    assert_allclose(jacobian @ step.ravel(), change.ravel(), atol=1e-7 * largest)
-    assert_allclose(
-        network.adjoint(weights).ravel(), jacobian.T @ weights.ravel(), rtol=1e-8, atol=1e-12
-    )
-    assert_allclose(network.own_response().ravel(), np.diag(jacobian), rtol=1e-8, atol=1e-12)
-    # Σ w ∂²y/∂u² = H − diag(Jᵀw)
-    second = network.second_order(weights)
-    turned = (ahead.adjoint(weights) - behind.adjoint(weights)) / (2 * size)
-    product_of = second.products(step)[1] - network.adjoint(weights) * step
-    scale = np.abs(turned).max()
-    assert_allclose(product_of, turned, atol=1e-6 * scale)
-    by_matrix = second.matrix() @ step.ravel() - (network.adjoint(weights) * step).ravel()
-    assert_allclose(by_matrix, turned.ravel(), atol=1e-6 * scale)
-    assert_allclose(second.adjoint(), network.adjoint(weights), rtol=1e-8, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("keys", "message"),
     [

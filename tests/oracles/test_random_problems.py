@@ -31,13 +31,12 @@ from lampest import (
 )
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Loss, Squared, Student
-from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import Gradient, Misfit, Term, TotalVariation, term_types
+from lampest.cost.problem import Data
+from lampest.cost.terms import Gradient, Misfit, Term, term_types
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.readouts import TwoPointReadout
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
-from lampest.solvers.check import check
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Status
@@ -67,9 +66,6 @@ ONCE_UNSOLVED += [(31, 714), (31, 173), (31, 218), (53, 61), (77, 146)]
 PROBLEMS = [pytest.param(11, n, marks=pytest.mark.slow) for n in SMALL_PROBLEMS if n != 6]
 PROBLEMS += [pytest.param(*numbers, marks=pytest.mark.slow) for numbers in ONCE_UNSOLVED]
 PROBLEMS += [pytest.param(1, number, marks=pytest.mark.soak) for number in range(1000)]
-# Every term, loss and readout, holes and rails, joined rows; of relative terms first frames, which
-# may be joint pairs.
-STATED_PROBLEMS = [1, 5, 10, 12, 16, 17, 21, 30, 31, 36, 40, 61, 62, 73, 79, 86, 172, 207]
 NO_ESTIMATE = (Status.UNREAD, Status.UNRESTED, Status.ROUNDED)
 SHAPE = (6, 5)
 CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 0.5, "supply_volt": 5.0}
@@ -83,39 +79,8 @@ CIRCUITS = {
 }
 MAX_EXCESS = 1e-6  # share of the cost of an estimate that another solver may save
 MAX_KKT = 1e-6  # of a verified optimum
-ROUNDING = 1e-12  # relative, of a cost
 EQUAL = 1e-8  # of log r, between cells that a heavy penalty holds together; measured 4e-12
 MAX_ITERATIONS = 200  # limit: a third above the largest number measured
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("joint", [False, True])
-def test_cost_and_gradient_agree_with_an_independent_implementation(joint: bool) -> None:
-    """At points that are no optima; the statement's own derivatives by differences."""
-    for number in STATED_PROBLEMS:
-        problem = replace(RandomProblem.drawn(11, number), joint=joint)
-        random = np.random.default_rng(number)
-        place = np.log(problem.data.uniform_start).ravel() + 0.1 * random.standard_normal(
-            problem.data.measured.size
-        )
-        value, slope = problem.oracle.as_squares(place, 0.0)
-        stated = problem.oracle.value(place)
-        assert np.sum(value**2) == pytest.approx(stated, rel=ROUNDING), problem.about
-        step = 1e-6 * np.random.default_rng(1).standard_normal(len(place))
-        sides = [problem.oracle.as_squares(place + sign * step, 0.0)[0] for sign in (1, -1)]
-        by_differences = (sides[0] - sides[1]) / 2
-        np.testing.assert_allclose(
-            slope @ step, by_differences, atol=1e-5 * np.abs(by_differences).max()
-        )
-        at = Evaluation.at(
-            problem.cost, problem.data, np.exp(place).reshape(problem.data.measured.shape)
-        )
-        assert at.objective == pytest.approx(stated, rel=ROUNDING), problem.about
-        if not at.cost.slope.size:  # no absolute loss, which enters through duals
-            gradient = at.log_gradient(np.zeros(0)).ravel()
-            np.testing.assert_allclose(
-                gradient, 2 * value @ slope, atol=1e-9 * np.abs(gradient).max()
-            )
 
 
 @promise("README: Only plain least squares of two-point readings is known to have a single one.")
@@ -271,29 +236,6 @@ def test_cells_that_heavy_losses_hold_at_one_bound_are_verified(
     solution = estimator.method.solution(solver, data, None, None)
     assert solution.optimum and solution.kkt_residual < MAX_KKT
     np.testing.assert_allclose(solution.cell_resistance, measured.max(), rtol=EQUAL)
-
-
-@pytest.mark.parametrize(("side", "loss"), [(20, Squared()), (11, Absolute())])
-def test_absolute_losses_of_a_large_panel_take_no_more_steps(
-    side: int, loss: Squared | Absolute
-) -> None:
-    """Once 300 and more, by conjugate gradients along smoothed corners."""
-    estimator = Estimator(
-        (Misfit(weighting="noise", loss=loss), TotalVariation(weight=1.0)), formulation="reduced"
-    )
-    scene = Scene(Panel(side, side))
-    random = np.random.default_rng(5)
-    cells = 3000 * np.exp(0.2 * random.standard_normal((side, side)))
-    cells[side // 3 : side // 2 + 1, side // 3 :] *= 0.3
-    exact = scene.circuit.exact_reading(cells)[None]
-    data = posed(
-        estimator, scene, exact * (1 + 0.003 * random.standard_normal(exact.shape)), 0.003 * exact
-    )
-    cost = estimator.cost(scene, 1, partial=data.partial)
-    start = Evaluation.at(cost, data, data.uniform_start)
-    solution = check(start, ProjectedNewton(cost, Settings()).solve(data, start))
-    max_iterations = 60  # a fifth of what it took once
-    assert solution.status is Status.OPTIMUM and solution.iterations < max_iterations
 
 
 @pytest.mark.slow

@@ -7,7 +7,6 @@ The wired network is held against badcrossbar (Joksas & Mehonic, SoftwareX 12, 1
 
 import warnings
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,9 +25,7 @@ from lampest import (
     Scene,
     Squared,
     Status,
-    read_run,
 )
-from lampest.audit.health import Health
 from lampest.cost.terms import Gradient, LogRatio, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.approximate import TruncatedMethod
@@ -67,9 +64,7 @@ ROUNDING = 1e-12  # relative
 NO_WIRE = 1e-10  # relative: a wire of 1e-9 ohm changes the order of sums; measured 1.4e-11
 MAX_ERROR = 0.002  # median of |log r| with what the scene specifies; measured at most 0.0007
 MIN_GAIN = 25  # of the median error of a scene that is silent; measured at least 75
-MIN_GAIN_OF_MEMORY = 3  # the same for the converter's memory of 3 %; measured 8
 RMS_ERROR = 0.3  # of the scores of 63 cells; three standard errors, 3/√(2n), are 0.27
-RMS_ERROR_OF_FRAMES = 0.25  # of 48 cells in each of several frames; of one frame 0.22
 RMS_ERROR_OF_CONTACTS = 0.25  # of 11 lines in 15 panels, which share cells; measured 0.13
 # of error bars that hold; measured 0.83 and 1.05
 MAX_RMS = 2.0
@@ -142,22 +137,6 @@ def test_matrix_free_steps_reach_the_same_optimum() -> None:
     estimate = solved(recording)
     assert all(step.solution.solved for step in estimate.steps)
     assert np.median(np.abs(log_errors(estimate))) < MAX_ERROR
-
-
-@pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
-@pytest.mark.parametrize(
-    "keys", [{"lines": Lines(1.0, 1.0)}, {"faults": TOUCHING}], ids=["wire", "touching"]
-)
-def test_node_voltages_include_wire_and_touching_lines(
-    formulation: str, keys: Any, tmp_path: Path
-) -> None:
-    """A run file with them is read; tests/oracles/test_program.py has the optima."""
-    simulated(Scene(Panel(6, 6), READOUTS["loaded"], **keys)).save(tmp_path / "panel.h5")
-    (tmp_path / "run.yaml").write_text(
-        f"schema: 1\nrecordings: [panel.h5]\nformulation: {formulation}\n"
-        "estimators: {LSM: {terms: {misfit: {}}}}\n"
-    )
-    assert len(read_run(tmp_path / "run.yaml").cases) == 1
 
 
 def test_lines_without_resistance_need_no_wiring() -> None:
@@ -277,16 +256,6 @@ def turned(readings: Readings) -> Readings:
     return readings.each(lambda part: part.swapaxes(-1, -2))
 
 
-def test_equal_rows_are_not_taken_for_touching_ones() -> None:
-    """All rows read alike within the noise."""
-    noisy = TwoPointReadout(readings=1, noise_lsb=4)
-    scene = Scene(Panel(6, 6), noisy)
-    recording = simulate(
-        Simulation(1, 2, scene, Cells(spread=0.0), baseline_frames=3, frames=1), "even"
-    )
-    assert not [finding for finding in Health.of(recording).findings if finding.room == "lines"]
-
-
 def contacted(
     readout: Readout, seed: int, spread: float = 0.2, frames: int = 1, shape: Any = (5, 6)
 ) -> Recording:
@@ -402,24 +371,6 @@ def volts(readout: Readout, shape: tuple[int, ...]) -> Array:
     return np.asarray(np.random.default_rng(4).uniform(0.2, 0.8, size=shape) * readout.supply_volt)
 
 
-@each_converter
-def test_the_converter_memory_is_kept_per_channel(readout: Readout) -> None:
-    """A capacitor holds a part of each channel of a frame.
-
-    The frame is scanned over and over, one channel after the other.
-    """
-    volt = volts(readout, (5, 4))
-    expected = np.empty_like(volt)
-    remembered = 0.0
-    by_columns = getattr(readout, "driven", "rows") == "columns"
-    for _ in range(3):
-        for place, value in np.ndenumerate(volt.T if by_columns else volt):
-            remembered += (1 - MEMORY_FRACTION) * (value - remembered)
-            expected[place[::-1] if by_columns else place] = remembered
-    assert_allclose(with_memory(readout, MEMORY_FRACTION, volt), expected, rtol=ROUNDING)
-    assert_allclose(with_memory(readout, MEMORY_FRACTION, volt[None])[0], expected, rtol=ROUNDING)
-
-
 @promise("howto/devices: lampest inverts the equation exactly")
 @each_converter
 def test_the_converter_memory_is_corrected_exactly_with_its_noise(readout: Readout) -> None:
@@ -462,18 +413,6 @@ def test_a_rail_stays_a_bound() -> None:
     assert (side[1, 1], side[2, 2]) == (Sidedness.AT_MOST, Sidedness.AT_LEAST) and np.count_nonzero(
         side
     ) == 2
-
-
-@each_converter
-def test_specified_memory_gives_the_cells(readout: Readout) -> None:
-    scene = Scene(Panel(8, 6), readout, systematic="none", converter_memory=MEMORY_FRACTION)
-    recording = simulate(Simulation(1, 5, scene, frames=3))
-    estimate = solved(recording)
-    ignored = solved(forgetting(recording, "converter_memory"))
-    assert np.median(np.abs(log_errors(ignored))) > MIN_GAIN_OF_MEMORY * np.median(
-        np.abs(log_errors(estimate))
-    )
-    assert abs(rms(scores(estimate)) - 1) < RMS_ERROR_OF_FRAMES
 
 
 def test_impossible_memories_are_refused() -> None:
@@ -532,18 +471,3 @@ def test_currents_and_voltages_equal_those_of_badcrossbar(
         rtol=1e-10,
         atol=1e-17,
     )
-
-
-def test_networks_fed_from_the_other_sides_are_mirror_images() -> None:
-    """badcrossbar knows rows that enter at the left and columns that leave at the bottom.
-
-    The others are turned.
-    """
-    cells = log_normal_cells(5, 8)
-    ties = np.full(13, 1e-3)
-    reference = np.reshape(badcrossbar_of(cells[::-1, ::-1], 2.0, 7.0).currents.output, (5, 8))[
-        ::-1, ::-1
-    ]
-    network = network_of(cells, Lines(2.0, 7.0, "right", "top"), ties)
-    admittance = np.linalg.inv(network.potentials()) - np.diag(ties)
-    assert_allclose(-admittance[5:, :5].T, reference, rtol=1e-10)

@@ -362,35 +362,6 @@ def test_a_frame_needs_half_of_its_readings_and_so_many_values_as_factors_of_lin
     assert bool(Readings.of(scene, recorded).enough(scene)) == enough
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
-@pytest.mark.parametrize(
-    "readout",
-    [
-        TwoPointReadout(**NOISE, groups=((0, 1), (2, 3, 4))),
-        lampest.LoadedColumnsReadout(**NOISE, drive_ohm=70.0, groups=((0, 1), (2, 3, 4))),
-        lampest.DrivenReadout(**NOISE, drive_ohm=70.0, idle_ohm=1000.0),
-    ],
-    ids=["two_point", "loaded_columns", "driven"],
-)
-def test_ipopt_solves_readings_of_parallel_multiplexers_and_of_any_circuit(
-    readout: lampest.Readout, formulation: str
-) -> None:
-    scene = Scene(Panel(4, 5), readout)
-    exact = readout.to_recorded(readout.exact_reading(cells_of((3, 4, 5))), scene)
-    cells = {}
-    for name in (formulation, "reduced"):
-        estimate = lampest.reconstruct(
-            recording_of(scene, exact, 1),
-            [Misfit(weighting="noise"), lampest.LogGradient(weight=0.1)],
-            formulation=name,
-            error_bars=False,
-        )
-        assert set(estimate.status) == {"local optimum verified"}
-        cells[name] = estimate.cell_resistance
-    assert_allclose(cells[formulation], cells["reduced"], rtol=1e-5)
-
-
 @promise("howto/python: A frame can therefore be tried and discarded.")
 def test_a_frame_can_be_tried_and_discarded() -> None:
     """The term carries the frame before on, so a frame that stayed would show."""

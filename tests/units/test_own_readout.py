@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 
 import lampest
 from lampest.apps.microcontroller.constants import CircuitLines
-from lampest.inference.prepared import Prepared
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.lines import PerLine, Side, per_line
 from lampest.panel.readouts.keys import driven_ends, ends_in_words, idle_ends, load_ends
@@ -49,32 +48,6 @@ class BleederReadout(lampest.Readout):
 
 
 READOUT = BleederReadout(adc_bits=12, readings=1)
-
-
-@pytest.fixture(scope="module")
-def recording() -> lampest.Recording:
-    """A rod on a mat with the readout of this file."""
-    scene = lampest.Scene(lampest.Panel(*SHAPE), READOUT, systematic="none")
-    rod = lampest.Rod(centre_mm=(25.0, 25.0), diameter_mm=30.0, mass_g=500.0)
-    return lampest.simulate(lampest.Simulation(1, 1, scene, frames=4, loads=(rod,)))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("formulation", ["reduced", "nodal"])
-def test_a_readout_of_a_notebook_estimates_and_is_drawn(
-    recording: lampest.Recording, formulation: Literal["nodal", "reduced"]
-) -> None:
-    terms = [lampest.Misfit(weighting="noise")]
-    estimated = lampest.reconstruct(recording, terms, formulation=formulation)
-    assert recording.truth_cell_resistance is not None
-    truth = recording.truth_cell_resistance[estimated.frame]
-    assert np.median(np.abs(estimated.cell_resistance / truth - 1)) < 0.01
-    assert "verified" in estimated.status[-1]
-    assert estimated.plot().axes
-
-
-def test_a_readout_of_a_notebook_is_checked(recording: lampest.Recording) -> None:
-    assert Prepared(recording).check.mark == "yes"
 
 
 def test_the_c_library_has_the_readings_of_a_readout_of_a_notebook() -> None:
