@@ -1,7 +1,4 @@
-"""Recordings of given readings, and how far their estimates are from the truth.
-
-No test stands here.
-"""
+"""Recordings of given readings, and how far their estimates are from the truth."""
 
 import numpy as np
 from numpy.typing import NDArray

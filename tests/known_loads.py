@@ -1,7 +1,4 @@
-"""Recordings of a panel on which known loads lay one after the other, or several at once.
-
-No test stands here.
-"""
+"""Recordings of a panel on which known loads lay one after the other, or several at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -80,10 +77,7 @@ def rod(x: float, y: float, diameter: float, kpa: float) -> Rod:
 def moved_over(
     bench: Bench, kpa: Sequence[float], diameter: float, step: float
 ) -> tuple[list[list[Shape]], list[KnownLoad]]:
-    """Return rods of some pressures, moved over the panel in steps, and their known loads.
-
-    True places deviate from the known ones by half a mm.
-    """
+    """Return rods moved over the panel in steps, half a mm off, and their known loads."""
     rng = np.random.default_rng([bench.seed, 5])
     xs, ys = (np.arange(0, 10.0 * (count - 1) + 0.1, step) for count in bench.panel.shape[::-1])
     places = [(pressure, float(x), float(y)) for pressure in kpa for x in xs for y in ys]

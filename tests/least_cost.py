@@ -301,10 +301,7 @@ class LeastCost:
         return place
 
     def descended(self, start: Array, max_iterations: int = 300) -> Array:
-        """u from SciPy's L-BFGS-B, which asks for gradients alone.
-
-        Absolute losses are hardly rounded.
-        """
+        """u from SciPy's L-BFGS-B, by gradients alone; absolute losses are hardly rounded."""
         bounds = list(zip(np.log(self.lower).ravel(), np.log(self.upper).ravel(), strict=True))
         rough = [
             float(np.abs(x).max(initial=0))

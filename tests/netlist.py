@@ -1,7 +1,4 @@
-"""Panels as lists of resistors, solved as such: oracles that share nothing with the house.
-
-No test stands here.
-"""
+"""Panels as lists of resistors, solved as such: oracles that share nothing with the house."""
 
 from collections.abc import Hashable, Iterable
 from itertools import pairwise
@@ -25,10 +22,7 @@ Resistor = tuple[Node, Node, float]
 
 
 def laplacian(resistors: Iterable[Resistor]) -> tuple[dict[Node, int], Array]:
-    """Node → line of the matrix of conductances, and this matrix.
-
-    Resistors of 0 ohm join their nodes.
-    """
+    """Node → line of the matrix of conductances, and this matrix; 0 ohm join nodes."""
     resistors = list(resistors)
     name = {node: node for first, second, _ in resistors for node in (first, second)}
     for first, second, ohm in resistors:
@@ -135,10 +129,7 @@ def read_nodes(scene: Scene) -> list[Node]:
 
 
 def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:
-    """R between rows and columns of cells, by the pseudoinverse.
-
-    A leak joins every line with the next of its kind.
-    """
+    """R between rows and columns of cells, by the pseudoinverse; leaks join neighbouring lines."""
     rows, columns = cells.shape
     matrix = np.zeros((rows + columns,) * 2)
     matrix[:rows, rows:] = -1 / cells
@@ -151,10 +142,7 @@ def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:
 
 
 def in_digits(cells: Array, digits: int = 50) -> Array:
-    """Return R between rows and columns of cells by mpmath, with the first row grounded.
-
-    R is infinite between lines that no path joins.
-    """
+    """Return R between lines of cells by mpmath, infinite where no path joins them."""
     rows, columns = cells.shape
     with mpmath.workdps(digits):
         matrix = mpmath.zeros(rows + columns)
@@ -272,10 +260,7 @@ def divider(
     row_ohm: float = 0.0,
     column_ohm: float = 0.0,
 ) -> float:
-    """Volt at the converter.
-
-    Supply, reference, row's channel, panel, column's channel and ground are in a row.
-    """
+    """Volt at the converter: reference, row's channel, panel and column's channel are in a row."""
     across_sensor = readout.measured_across == "sensor"
     above, below = (readout.reference_ohm, 0.0)[:: 1 if across_sensor else -1]
     tap: Node = "row end" if across_sensor else "column end"
@@ -297,10 +282,7 @@ def load_of(
 
 
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """Return drives, panel, channels and loads of a readout in volt, for one pair of lines.
-
-    One line is driven, and one is sensed.
-    """
+    """Return drives, panel, channels and loads of a readout in volt, for one pair of lines."""
     lines, sense_lines = (range(count) for count in matrix.shape)
     states = (
         isinstance(readout, DrivenReadout)
@@ -333,10 +315,7 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
 
 
 def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """Return the netlist of a circuit that specifies its idle lines.
-
-    The sensed lines may be behind multiplexers.
-    """
+    """Return the netlist of a circuit that specifies its idle lines, with multiplexers or not."""
     count, sense_count = matrix.shape
     drive = per_line(readout.drive_ohm, count)
     idle = per_line(

@@ -41,10 +41,7 @@ def ring(rng: np.random.Generator) -> Panel:
 
 
 def lonely(rng: np.random.Generator) -> Panel:
-    """A block of 3 × 3, a cell on a row and a column of its own, and empty lines.
-
-    The empty lines are a row and a column without any cell.
-    """
+    """A block of 3 × 3, a cell on a row and a column of its own, and lines without any cell."""
     block = [(row, column, PITCH * column, PITCH * row) for row in range(3) for column in range(3)]
     return Panel(5, 5, PITCH, (*block, (4, 4, 60.0, 60.0)))
 

@@ -1,8 +1,4 @@
-"""Recordings of panels with films, loads and electronics of many kinds.
-
-The readouts' own equations make the recordings, which judge statements about scenes, above all
-about the health of a panel. Other tests compare these equations with netlists.
-"""
+"""Recordings of panels with films, loads and electronics of many kinds."""
 
 from dataclasses import dataclass, replace
 from typing import Any

@@ -232,10 +232,7 @@ class RandomProblem:
         return (own - least - ROUNDING_ERROR * self.oracle.blank()) / own
 
     def _ends(self, estimate: Array) -> Iterator[Array]:
-        """Yield ends u, within the bounds, of other solvers from several starts.
-
-        The starts are the estimate, the truth, equal cells and random ones.
-        """
+        """Yield ends u, within the bounds, of other solvers from the estimate and other starts."""
         data = self.data
         random = np.random.default_rng([self.seed, self.number, 1])
         truth = self.cells[:2] if len(data.measured) == 2 else self.cells[self.pushed][None]
@@ -292,10 +289,7 @@ def _shape(random: np.random.Generator) -> tuple[int, int]:
 
 
 def _cells(random: np.random.Generator, shape: tuple[int, int]) -> Array:
-    """Three frames ohm: scattered cells, and patches.
-
-    The patches are pressed or sucked more and more, or not at all.
-    """
+    """Three frames ohm: scattered cells, and patches that are pressed or sucked more and more."""
     level = 10 ** random.uniform(2.5, 4.5)
     spread = random.choice([0.05, 0.3, 1.0], p=[0.3, 0.5, 0.2])
     resting = level * np.exp(spread * random.standard_normal(shape))

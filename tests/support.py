@@ -1,7 +1,4 @@
-"""Helpers of several tests: invented but consistent results, live without haste, code of pages.
-
-The module holds no test.
-"""
+"""Helpers of several tests: invented but consistent results, live without haste, code of pages."""
 
 import dataclasses
 import re
@@ -21,10 +18,7 @@ METHODS = ("LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR")
 
 
 def mouth(rows: int, columns: int, frames: int, pitch_mm: float = 10.0) -> Array:
-    """Relative change in percent under a sucking mouth of 35 mm.
-
-    The mouth grips harder from frame to frame.
-    """
+    """Relative change in percent under a mouth of 35 mm that grips harder from frame to frame."""
     y, x = np.meshgrid(np.arange(rows) * pitch_mm, np.arange(columns) * pitch_mm, indexing="ij")
     distance = np.hypot(x - 0.45 * (columns - 1) * pitch_mm, y - 0.55 * (rows - 1) * pitch_mm)
     pattern = -92 * np.exp(-(((distance - 17) / 6) ** 2)) + 320 * np.exp(-((distance / 8) ** 2))

@@ -1,7 +1,4 @@
-"""A board in a thread behind a pseudo-terminal.
-
-The board answers as the firmware does, and sends the content of a script.
-"""
+"""A board in a thread behind a pseudo-terminal, which sends the content of a script."""
 
 import itertools
 import os

@@ -1,7 +1,4 @@
-"""Recognition of a simulated load, and of a recording.
-
-The module holds no test.
-"""
+"""Recognition of a simulated load, and of a recording; no test stands here."""
 
 import numpy as np
 

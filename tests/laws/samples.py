@@ -63,10 +63,7 @@ TRIES = 2000
 
 @cache
 def configurations() -> tuple[type, ...]:
-    """Every class of the package that YAML is validated into, in the order of modules.
-
-    Bases of others are left out.
-    """
+    """Every class of the package that YAML is validated into, in the order of modules."""
     modules = [
         import_module(info.name) for info in pkgutil.walk_packages(lampest.__path__, "lampest.")
     ]
@@ -150,10 +147,7 @@ def examples(kind: type) -> tuple[Any, ...]:
 
 
 def arguments(kind: type, rng: np.random.Generator) -> dict[str, Any]:
-    """A value for every field without a default and for few of the others.
-
-    The few are there as some classes need one of several.
-    """
+    """A value for every field without a default and for few of the others, if one is needed."""
     types = hints(kind)
     fields = (field for field in dataclasses.fields(kind) if field.name in types)
     given = (field.name for field in fields if is_open(field) or rng.random() < 0.1)

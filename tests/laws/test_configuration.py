@@ -1,7 +1,4 @@
-"""Laws of every class that a user may write as YAML.
-
-A text loads as its object, and no other text is accepted.
-"""
+"""Laws of every class that a user may write as YAML."""
 
 import dataclasses
 import itertools
@@ -194,10 +191,7 @@ def test_a_configuration_is_frozen_and_contains_only_configurations(kind: type) 
 def test_the_kind_distinguishes_the_members_of_a_union(
     members: tuple[type, ...], member: type, word: str
 ) -> None:
-    """In every place that takes the union the member loads by its word.
-
-    No other word of the union's does.
-    """
+    """In every place that takes the union the member loads by its word, and by no other."""
     assert [alternative for alternative in members if word in words(alternative)] == [member]
     example = dataclasses.replace(examples(member)[0], kind=word)
     assert loaded(to_yaml(example), member) == example

@@ -1,7 +1,4 @@
-"""Statements of the pages about readings of a matrix.
-
-The statements give bounds of a reading, the cells that it depends on, and the growth of the noise.
-"""
+"""Statements of the pages about readings: bounds, dependence on cells, growth of the noise."""
 
 from dataclasses import replace
 

@@ -1,8 +1,4 @@
-"""Error bars obey the rules of variances.
-
-Error bars scale with the noise, more information never widens them, and independent errors add up
-in any order.
-"""
+"""Error bars obey the rules of variances."""
 
 from dataclasses import fields
 from typing import Literal
@@ -147,10 +143,7 @@ def test_further_independent_errors_add_up_in_any_order(shape: tuple[int, ...]) 
 
 @pytest.mark.parametrize("shape", [(1, 2, 3), (3, 4, 4)])
 def test_the_interval_of_a_change_is_mirrored_with_its_sign(shape: tuple[int, ...]) -> None:
-    """The change from b to a reaches as far above as that from a to b below.
-
-    Errors that both share cancel: of an estimate from itself nothing remains.
-    """
+    """The change from b to a reaches as far above as that back below; shared errors cancel."""
     rng = np.random.default_rng(shape)
     frame = certainty_of(rng, shape)
     baseline = certainty_of(rng, shape)

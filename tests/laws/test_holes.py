@@ -38,10 +38,7 @@ TWO_POINT = Scene(Panel(*SHAPE), TwoPointReadout())
 
 
 def recording(scene: Scene, holes: list[tuple[int, int]] = HOLES, seed: int = 1) -> Recording:
-    """Return four frames of unlike cells through the readout, without its converter.
-
-    Readings of the measured frames are missing at the holes.
-    """
+    """Return four frames of unlike cells through the readout, of which measured ones have holes."""
     rng = np.random.default_rng(seed)
     cells = 2000.0 * np.exp(0.3 * rng.standard_normal(SHAPE)) * np.ones((4, 1, 1))
     cells[2:, 1:3, 1:3] *= 0.4
@@ -95,10 +92,7 @@ def test_single_holes_leave_every_frame_an_estimate(
 
 @pytest.mark.slow
 def test_plain_least_squares_gives_an_unread_cell_wide_error_bars() -> None:
-    """The others stay as good as their own readings make them.
-
-    That cell's interval is wide and holds the truth.
-    """
+    """Its interval is wide and holds the truth; the others are as good as their own readings."""
     elsewhere = []
     held = []
     width = []

@@ -1,7 +1,4 @@
-"""Tail probabilities and intervals are those of their distributions.
-
-The references are closed forms, sums and integrals over a fine grid.
-"""
+"""Tail probabilities and intervals are those of their distributions."""
 
 from math import comb, gamma
 

@@ -1,7 +1,4 @@
-"""Identities that the two-point resistances of any matrix of cells obey.
-
-Tolerances are those of mild contrast.
-"""
+"""Identities that the two-point resistances of any matrix of cells obey."""
 
 import numpy as np
 import pytest
@@ -116,10 +113,7 @@ def test_a_network_costs_the_inverse_of_its_shorter_side(
 def test_the_convex_start_of_large_panels_converges_quadratically(
     shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Steps are as exact as the gradient is small.
-
-    The line search does not stall in the rounding of the values.
-    """
+    """The line search does not stall in the rounding of the values."""
     rng = np.random.default_rng(1)
     cells = 2000 * 10 ** rng.uniform(-0.3, 0.3, shape)
     near = cells * 10 ** rng.uniform(-0.1, 0.1, shape)

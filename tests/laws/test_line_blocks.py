@@ -66,10 +66,7 @@ def test_the_determinant_equals_that_of_the_laplacian_with_ties(
 def test_plain_least_squares_of_a_narrow_panel_inverts_no_matrix_of_its_longer_side(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Estimates, their verification and the check of the circuit.
-
-    1 × 800 cells took 1.9 s, and 1 × 1600 12 s.
-    """
+    """1 × 800 cells took 1.9 s, and 1 × 1600 12 s."""
     rng = np.random.default_rng(1)
     cells = rng.uniform(900, 2000, (2, *NARROW))
     read = two_point_resistance(cells) * (1 + 1e-4 * rng.standard_normal(cells.shape))

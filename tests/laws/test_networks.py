@@ -1,7 +1,4 @@
-"""Bounds and symmetries of the readings of any panel.
-
-A network of resistors is passive and reciprocal, and its lines have no order.
-"""
+"""Bounds and symmetries of the readings of any panel."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -59,10 +56,7 @@ def readings_of(readout: Any, cells: Array) -> Array:
 
 @every_shape
 def test_resistances_between_lines_are_a_metric(shape: tuple[int, int]) -> None:
-    """No path is shorter: R_jk ≤ r_jk, and R_jk ≤ R_jq + R_pq + R_pk over other lines.
-
-    Source: Klein & Randić, J. Math. Chem. 12, 1993.
-    """
+    """R_jk ≤ r_jk, and R_jk ≤ R_jq + R_pq + R_pk (Klein & Randić, J. Math. Chem. 12, 1993)."""
     cells = random_cells(shape)
     resistance = two_point_resistance(cells)
     of_rows = np.min(resistance[:, None, :] + resistance[None, :, :], axis=2)

@@ -1,7 +1,4 @@
-"""Laws of every preconditioner.
-
-M⁻¹ between any free cells is linear, symmetric and positive definite.
-"""
+"""Laws of every preconditioner: M⁻¹ is linear, symmetric and positive definite."""
 
 from dataclasses import replace
 

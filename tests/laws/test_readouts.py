@@ -1,7 +1,4 @@
-"""Laws of every kind of readout: derivatives, two forms, the way to recorded values and back.
-
-A kind that joins the union, or that an installed package names, is seen here without being named.
-"""
+"""Laws of every kind of readout, of installed packages, too."""
 
 from collections.abc import Iterator
 from dataclasses import fields, replace
@@ -108,10 +105,7 @@ def scenes() -> Iterator[Any]:
 
 
 def wired_scenes(kind: type, rows: int, columns: int) -> dict[str, Scene]:
-    """Return scenes of the first fitting configuration of a kind.
-
-    The scenes have every sort of wire, lines that touch, and contacts.
-    """
+    """Return scenes of a kind with every sort of wire, lines that touch, and contacts."""
     panel = Panel(rows, columns)
     readout = next(example for example in examples(kind) if fits(panel, example) is not None)
     contacts = contacts_of(rows, columns)
@@ -324,10 +318,6 @@ def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) ->
 
 @every_scene
 def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
-    """Wire, contacts and lines that touch are included.
-
-    A kind that makes simulations its own must hand them on.
-    """
     rows, columns = scene.panel.shape
     cells = np.exp(cells_of(scene))
     recorded = simulated(scene.circuit, cells[None], scene, np.zeros(rows), np.zeros(columns))[0]

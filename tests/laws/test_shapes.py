@@ -1,7 +1,4 @@
-"""Laws of every shape, by its own example.
-
-The tests walk the union; a new shape is under them with the example in its docstring.
-"""
+"""Laws of every shape, by the example in its docstring."""
 
 import dataclasses
 import inspect
@@ -101,10 +98,7 @@ def test_kinds_are_unique() -> None:
 
 @pytest.mark.slow
 def test_the_rim_of_any_mouth_balances_its_suction() -> None:
-    """The rim's force is the suction's, however long or uneven it is.
-
-    Extra pressure comes on top of it.
-    """
+    """The rim's force is the suction's, to which extra pressure adds."""
     level = OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0)
     uneven = {
         "elongation": 1.3,

@@ -1,7 +1,4 @@
-"""Laws of every cost term with every loss.
-
-The tests walk the unions: a new term is tested as it is.
-"""
+"""Laws of every cost term with every loss."""
 
 import dataclasses
 from typing import Any, Literal
@@ -41,10 +38,7 @@ SHARE_OF_CORNER = 1e-3  # h of differences of second order; they are wrong by h�
 
 @dataclasses.dataclass(frozen=True)
 class GemanMcClure(Loss):
-    """Σ x²/(1 + (x/c)²), a user's own bounded loss.
-
-    The loss is so flat for large x that slopes are small differences.
-    """
+    """Σ x²/(1 + (x/c)²), a user's own bounded loss, flat for large x."""
 
     convex = False
     corner: float
@@ -116,10 +110,7 @@ def example(frames: int, seed: int = 0) -> tuple[Data, Array]:
 
 
 def state(data: Data, cells: Array, scale: float = 1.0) -> State:
-    """One frame with every length of the axis of ohms multiplied by `scale`.
-
-    Numbers are as CasADi's matrices.
-    """
+    """One frame with every length of the axis of ohms times `scale`, as CasADi's matrices."""
     frame = {"cell_resistance": cells[0].ravel(), "reading": two_point_resistance(cells[0]).ravel()}
     columns = {
         name: casadi.DM(value * scale if name in IN_OHMS else value)
@@ -211,10 +202,7 @@ def test_the_gradient_is_the_derivative_of_the_cost(terms: tuple[Term, ...], fra
 def test_the_hessian_is_the_derivative_of_the_gradient(
     terms: tuple[Term, ...], formulation: str, frames: int
 ) -> None:
-    """The program's Hessian of its Lagrangian against central differences.
-
-    The differences are those of the Lagrangian's gradient.
-    """
+    """The program's Hessian of its Lagrangian against central differences."""
     program = Program.build(
         Cost(PANEL, terms, frames),
         TwoPointReadout(),
@@ -256,10 +244,7 @@ def test_the_hessian_is_the_derivative_of_the_gradient(
 def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
     terms: tuple[Term, ...], frames: int
 ) -> None:
-    """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ.
-
-    Absolute losses are smoothed.
-    """
+    """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ."""
     cost = Cost(PANEL, terms, frames)
     data, cells = example(frames)
     # 0.006 ohm: a loss curves within CORNER of them
@@ -291,10 +276,7 @@ def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
 
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
 def test_the_residual_scales_with_its_unit(term: type[Term], words: dict[str, Any]) -> None:
-    """With all resistances doubled a residual in ohm doubles.
-
-    A percentage, a ratio, a standard deviation stays.
-    """
+    """Doubled resistances double a residual in ohm; a percentage, a ratio, a deviation stays."""
     data, cells = example(1)
     chosen = term(**words)
     plain = (
@@ -359,10 +341,7 @@ def test_the_weights_of_squares_are_ones_without_a_derivative() -> None:
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 def test_the_minimum_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
-    """The least of the lowered objective over p, q ≥ 0 is weight·loss.
-
-    The start lies inside; duals are slopes.
-    """
+    """The least of the lowered objective over p, q ≥ 0 is weight·loss; duals are slopes."""
     weight = 0.7
     unit = 25.0
     x = np.array([-3.0, -1.0, -0.4, 0.2, 1.7]) * CORNER

@@ -116,10 +116,7 @@ def test_the_covariance_is_that_of_laplace(weight: float) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("term", [LogRatio(), TotalVariationOfChange()], ids=lambda term: term.kind)
 def test_absolute_losses_leave_a_degree_of_freedom_for_each_plateau(term: Term) -> None:
-    """The resolution sums to the number of changed cells, or of areas of equal change.
-
-    Mallows' C counts them: few changes predict new readings better than least squares.
-    """
+    """The resolution sums to their number, which Mallows' C counts."""
     scene = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=1), 140.0)
     rod = Rod(centre_mm=(25, 25), diameter_mm=20, mass_g=300)
     recording = simulate(Simulation(1, 2, scene, frames=2, loads=(rod,)))
@@ -140,10 +137,7 @@ def test_absolute_losses_leave_a_degree_of_freedom_for_each_plateau(term: Term) 
 
 
 def test_a_cell_at_a_bound_is_released_separately() -> None:
-    """Each cell that a penalty holds at its lower bound has the variance of a free one.
-
-    The reference is a panel where this cell is free, too.
-    """
+    """Each cell that a penalty holds at its lower bound has the variance of a free one."""
     measured = two_point_resistance(panel_cells())
     sigma = 0.003 * measured
     weight = 0.1
@@ -205,10 +199,7 @@ def test_an_unsuitable_penalty_leaves_wider_error_bars() -> None:
 
 
 def test_an_error_common_to_both_frames_cancels_in_the_change() -> None:
-    """A reference that is off moves baseline and frame alike.
-
-    Where the frame is the baseline, nothing is common.
-    """
+    """A reference that is off moves baseline and frame alike."""
     cells = panel_cells()
     frames = np.repeat(cells[None], 3, axis=0)
     scene = Scene(Panel(*SHAPE), TwoPointReadout(), systematic=Systematic(reference_tolerance=0.05))
@@ -222,10 +213,7 @@ def test_an_error_common_to_both_frames_cancels_in_the_change() -> None:
 
 @pytest.mark.slow
 def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
-    """Intervals still hold pressed cells beyond the amplifiers' rail.
-
-    A penalty pulls them up against it.
-    """
+    """Intervals still hold pressed cells beyond the rail, to which a penalty pulls them."""
     readout = VirtualGroundReadout(
         drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1200.0, adc_bits=12, noise_lsb=1.0
     )
@@ -255,10 +243,7 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
 
 
 def test_an_interval_exceeds_the_bounds_only_by_the_noise_of_the_reading() -> None:
-    """Cells of 100 Ω ± 10 % have different bounds.
-
-    The cells are free, near the lower or the upper bound, between equal bounds, or held at either.
-    """
+    """Cells of 100 Ω are free, near a bound, between equal ones, or held at either."""
     cells = np.full((1, 1, 6), 100.0)
     lower, upper = np.log(
         [[[50.0, 99.0, 50.0, 100.0, 100.0, 50.0]], [[500.0, 500.0, 101.0, 100.0, 500.0, 100.0]]]

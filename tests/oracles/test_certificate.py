@@ -1,8 +1,4 @@
-"""The meaning of "verified": no cell would move, and the point is a minimum.
-
-Cells would not move at any scale of their readings. Readings come from statements of the circuits
-that share no code with the package: of extreme panels in 50 digits.
-"""
+"""The meaning of "verified": no cell would move, and the point is a minimum."""
 
 from dataclasses import replace
 
@@ -137,10 +133,7 @@ def solution_of(
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "auto"])
 @pytest.mark.parametrize("name", EXTREME_PANELS)
 def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: str) -> None:
-    """Plain least squares of exact readings.
-
-    The optimum has no misfit, and no large reading hides a small one.
-    """
+    """No large reading hides a small one."""
     cells = EXTREME_PANELS[name]
     measured = in_digits(cells)
     solution = solution_of(Scene(Panel(*cells.shape)), measured, formulation)
@@ -159,10 +152,7 @@ def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: 
 @pytest.mark.long
 @pytest.mark.parametrize("place", [(16, 10), 16], ids=["cell", "row"])
 def test_a_large_panel_without_noise_is_verified_by_every_reading(place: object) -> None:
-    """Readings of shorts count, although they are small against the others.
-
-    Earlier verdicts let them deviate by 3·10⁻⁶, and a row of them by a thousandth.
-    """
+    """Earlier verdicts let a short's reading deviate by 3·10⁻⁶, and a row by a thousandth."""
     cells = 5000 * 10 ** np.random.default_rng([32, 5]).uniform(-0.15, 0.15, (32, 32))
     cells[place] *= 1e-9
     scene = Scene(Panel(32, 32))
@@ -183,10 +173,7 @@ def test_a_large_panel_without_noise_is_verified_by_every_reading(place: object)
 def test_verified_estimates_meet_the_readings_of_shorts(
     kind: str, short: str, ohm: float, formulation: str
 ) -> None:
-    """Cells of a third of a milliohm are met; where the digits end, the status is another one.
-
-    `auto` gives what IPOPT leaves open to the reduced solver.
-    """
+    """Where the digits end, the status is another one."""
     cells = USUAL_CELLS.copy()
     readout, circuit = KINDS[kind]
     place = SHORTS[short]
@@ -227,10 +214,7 @@ def verified(point: Evaluation) -> Solution:
 @pytest.mark.parametrize("relative_error", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize("number", range(16))
 def test_wrong_small_cells_are_never_verified(number: int, relative_error: float) -> None:
-    """The smaller cells are scattered by `relative_error`, which only their small readings show.
-
-    The cells form clusters, a checkerboard, a block or stripes, up to nine decades apart.
-    """
+    """Cells of clusters, checkerboards, blocks and stripes are up to nine decades apart."""
     random = np.random.default_rng([8, number])
     shape = rows, columns = random.integers(3, 8, 2)
     down, along = np.indices(shape)
@@ -291,10 +275,7 @@ def test_a_single_wrong_small_cell_is_not_verified() -> None:
 
 
 def test_the_certificate_names_a_saddle() -> None:
-    """A reading of 1000 ohm and a previous frame of 1 ohm leave φ = (r − 1000)² + 2 (100 log r)².
-
-    Between its two minima φ is stationary and has a maximum.
-    """
+    """φ = (r − 1000)² + 2 (100 log r)² has a maximum between its two minima."""
 
     def slope(logarithm: float) -> float:
         return 2 * (np.exp(logarithm) - 1000) * np.exp(logarithm) + 4e4 * logarithm
@@ -336,10 +317,7 @@ def test_a_decrease_below_the_noise_needs_no_further_step(noise: float | None) -
 def test_cells_without_change_are_an_optimum_where_the_penalty_outweighs_the_gradient(
     share: float, optimum: bool
 ) -> None:
-    """All cells are as before but for rounding.
-
-    The readings of two loaded cells are missed by 60 percent.
-    """
+    """The readings of two loaded cells are missed by 60 percent."""
     unloaded = USUAL_CELLS * (
         1 + 1e-14 * np.random.default_rng(5).standard_normal(USUAL_CELLS.shape)
     )

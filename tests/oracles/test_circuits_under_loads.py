@@ -1,7 +1,4 @@
-"""Circuits that differ in the resistors of idle lines, under palms, feet and mouths.
-
-Readings are those of `DrivenReadout` for the films of `docs.studies.effects`, with 12 bits.
-"""
+"""Circuits that differ in the resistors of idle lines, under palms, feet and mouths."""
 
 import re
 from math import inf

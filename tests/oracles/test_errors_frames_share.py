@@ -111,10 +111,7 @@ def moved(seed: int) -> float:
     ],
 )
 def test_an_absent_error_of_readings_moves_no_cell(seeds: tuple[int, ...]) -> None:
-    """With its median in σ, weights were 24 times too large, and cells up to six bars away.
-
-    Films that are thicker to one side were taken for errors of 5 to 10 %.
-    """
+    """Cells moved by up to six bars, and films thicker to one side were errors of 5 to 10 %."""
     assert {seed: move for seed in seeds if (move := moved(seed)) > MOVED} == {}
 
 

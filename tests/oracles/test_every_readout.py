@@ -224,10 +224,7 @@ def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
 @pytest.mark.parametrize("driven", ["rows", "columns"])
 @pytest.mark.parametrize("groups", [None, 2, 3])
 def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: int | None) -> None:
-    """Idle lines float, are held, or are pulled by less or more than Rd, on both sides.
-
-    The panel has an outline and wire.
-    """
+    """Idle lines float, are held, or are pulled by less or more than Rd, on both sides."""
     rng = np.random.default_rng(3)
     shape = (4, 6) if driven == "rows" else (6, 4)
     cells = 3000 * np.exp(rng.normal(size=shape))
@@ -285,10 +282,6 @@ def test_any_states_of_idle_lines_agree_with_the_netlist(driven: Any, groups: in
 @pytest.mark.long
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
 def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> None:
-    """Two-point readings of two and three groups agree with netlists.
-
-    The scene specifies the channel of each line.
-    """
     rng = np.random.default_rng(4)
     rows, columns = (tuple(np.round(rng.uniform(50, 90, size=count), 1)) for count in (5, 6))
     truth = 3000 * np.exp(0.4 * rng.normal(size=(1, 5, 6)))
@@ -394,10 +387,7 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     ],
 )
 def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
-    """The cells of a dead line are open.
-
-    The line's voltages affect neither bounds nor starts of other cells.
-    """
+    """The line's voltages affect neither bounds nor starts of other cells."""
     sound = panel_of(readout, 0.0, shape=(8, COLUMNS))
     broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
     volt = np.stack([volts(frame * broken, readout) for frame in sound.truth_cell_resistance])
@@ -470,10 +460,7 @@ def test_two_point_readings_exclude_the_series_resistance_of_each_line(
 
 
 def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> Array:
-    """Volt at the loads while a row is driven.
-
-    The current is the one at which diode and network share the supply.
-    """
+    """Volt at the loads while a row is driven through the diode."""
     saturation = readout.diode.at_ampere / np.expm1(
         readout.diode.drop_volt / readout.diode.slope_volt
     )
@@ -549,10 +536,7 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", KINDS, ids=lambda readout: readout.kind)
 def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> None:
-    """All channels and the reference are drawn anew for every panel.
-
-    Errors are in units of the error bars.
-    """
+    """All channels and the reference are drawn anew for every panel."""
     cells = cells_of()
     rng = np.random.default_rng(8)
     scores = []
@@ -631,10 +615,7 @@ TWO_PANELS = [
 @pytest.mark.slow
 @pytest.mark.parametrize("ohm", TWO_PANELS)
 def test_the_more_probable_of_two_panels_with_equal_readings_is_estimated(ohm: Any) -> None:
-    """Cells on the other side of the largest reading are 20 to 100 times as large.
-
-    Starts were there, or nowhere.
-    """
+    """Cells on the other side of the largest reading are 20 to 100 times as large."""
     idle, idle_load, drive, load, level = ohm
     readout = DrivenReadout(
         idle_ohm=idle, idle_load_ohm=idle_load, drive_ohm=drive, load_ohm=load, adc_bits=16
@@ -657,10 +638,7 @@ def test_the_more_probable_of_two_panels_with_equal_readings_is_estimated(ohm: A
 @pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_a_penalty_does_not_lead_to_the_other_panel(formulation: Any) -> None:
-    """Cells of 300 kilo-ohm cost less than the true ones of 3 kilo-ohm.
-
-    Further starts reach them.
-    """
+    """Cells of 300 kilo-ohm cost less than the true ones of 3 kilo-ohm."""
     readout = DrivenReadout(
         driven="columns", idle_ohm=3300.0, idle_load_ohm=0.0, drive_ohm=470.0, load_ohm=10_000.0
     )
@@ -700,10 +678,7 @@ def test_the_true_one_of_two_panels_that_read_alike_is_found() -> None:
 
 @pytest.mark.slow
 def test_starts_of_random_circuits_equal_their_cells() -> None:
-    """The choice among several panels keeps starts close to the cells.
-
-    Without it two of five were wrong by half and more. Some cells are truly ambiguous.
-    """
+    """Without the choice among several panels two of five were wrong by half and more."""
     rng = np.random.default_rng(5)
     wrong = 0
     circuits = 0
@@ -738,10 +713,7 @@ def test_a_second_panel_with_equal_readings_is_reported_as_a_doubt() -> None:
 
 
 def test_a_panel_that_is_taken_by_its_prior_alone_is_a_doubt() -> None:
-    """The readings speak for the true cells, on the side where they fall.
-
-    That they usually rise speaks against.
-    """
+    """The readings speak for the true cells, on the side where they fall."""
     readout = DrivenReadout(
         driven="columns", idle_ohm=3300.0, idle_load_ohm=0.0, drive_ohm=470.0, load_ohm=10_000.0
     )

@@ -1,7 +1,4 @@
-"""Lines that are read at the far end of their wire, against netlists.
-
-The netlist has every piece of wire as a resistor and is solved anew for each reading.
-"""
+"""Lines that are read at the far end of their wire, against netlists."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,4 @@
-"""Broken cells are flagged, and readings at their limits are bounds.
-
-Intervals of missing readings hold.
-"""
+"""Broken cells, readings at their limits, and intervals of missing readings."""
 
 from dataclasses import replace
 
@@ -47,10 +44,7 @@ def recording(truth: Array, readout: TwoPointReadout | None = None) -> Recording
 
 
 def test_unknown_open_cells_and_shorts_are_flagged() -> None:
-    """A reading of zero within its noise is a bound.
-
-    The cell behind it ends at the least that bounds allow.
-    """
+    """A cell behind a reading of zero ends at the least that bounds allow."""
     truth = cells()
     truth[:, 1, 2] = np.inf
     estimate = reconstruct(recording(truth), Estimator(LSM, formulation="reduced"))
@@ -82,10 +76,7 @@ def with_holes(seed: int, missing: int) -> lampest.Recording:
 @pytest.mark.slow
 @pytest.mark.parametrize("terms", [[], [lampest.RelativeChange()], [lampest.Gradient()]])
 def test_intervals_contain_read_cells_despite_missing_readings(terms: list[object]) -> None:
-    """A missing reading moves all cells together, along a curve.
-
-    Tangents held 87 % of them over 28 such panels.
-    """
+    """A missing reading moves all cells along a curve; tangents held 87 % of them."""
     misfit = lampest.Misfit(weighting="noise" if terms else "plain")
     held = []
     widths = []
@@ -124,10 +115,7 @@ def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_profile_of_a_held_cell_follows_the_valley(side: int) -> None:
-    """Ends of the profile are optima with that cell held.
-
-    Solves within bounds that fix the cell confirm them.
-    """
+    """Solves within bounds that fix the cell confirm it."""
     recording = with_holes(3, 1)
     terms = (lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-4))
     readings = recording.readings()
@@ -157,10 +145,7 @@ def test_the_profile_of_a_held_cell_follows_the_valley(side: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("term", [lampest.Gradient(), lampest.RelativeChange()])
 def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
-    """The penalty decides an unread cell whatever its weight.
-
-    That it does was taken for a fault of the weight.
-    """
+    """The penalty decides an unread cell whatever its weight."""
     terms = [lampest.Misfit(weighting="noise"), term]
     estimates = [
         lampest.reconstruct(with_holes(3, missing), terms, formulation="reduced")
@@ -184,10 +169,7 @@ def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
 def test_a_simulation_breaks_the_cells_that_its_scene_calls_broken(
     readout: lampest.Readout,
 ) -> None:
-    """Other cells are right with these faults alone, and no circuit is doubted.
-
-    No load lies on the unloaded panel.
-    """
+    """No circuit is doubted, and no load lies on the unloaded panel."""
     faults = lampest.Faults(open=((0, 0),), shorted=((3, 4),), dead_columns=(5,))
     rod = lampest.Rod(centre_mm=(25.0, 25.0), diameter_mm=30.0, mass_g=400.0)
     simulation = lampest.Simulation(

@@ -72,10 +72,7 @@ def test_the_misfit_and_the_volume_are_those_of_the_density(count: int) -> None:
 
 
 def test_the_covariance_given_precise_readings_keeps_its_digits_beside_a_wide_prior() -> None:
-    """Independent unknowns in turned readings, whose posterior has a closed form.
-
-    P − P Aᵀ S⁻¹ A P was off by 11 %.
-    """
+    """Of independent unknowns in turned readings P − P Aᵀ S⁻¹ A P was off by 11 %."""
     prior, noise = 9.0, 1e-14
     turned = np.linalg.qr(np.random.default_rng(1).standard_normal((8, 8)))[0]
     exact = np.eye(8) * prior * noise / (prior + noise)

@@ -1,7 +1,4 @@
-"""The health of a panel: faults are named with the line of the scene that says so.
-
-Clean recordings have none.
-"""
+"""The health of a panel: faults are named with the line of the scene that says so."""
 
 import re
 from collections.abc import Callable
@@ -224,10 +221,7 @@ def test_a_bar_that_sweeps_tells_no_order_of_the_lines_that_it_crosses(seed: int
 
 @pytest.mark.parametrize("length", LENGTHS)
 def test_smooth_parts_of_lines_are_without_their_mean(length: float) -> None:
-    """Modes of long lengths have variances of rounding, as the mean has, and are none of it.
-
-    Once one of them was left out in place of the mean, another one on other processors.
-    """
+    """Modes of long lengths have variances of rounding, as the mean has, and are none of it."""
     for count in (4, 16, 40):
         _, modes = _smooth_modes(count, length, 1)
         together = np.column_stack([np.full(count, count**-0.5), modes])

@@ -1,7 +1,4 @@
-"""Conjugate gradients on larger panels reach the solution of a factorisation.
-
-Their preconditioner equals its formula.
-"""
+"""Solves of larger panels, by conjugate gradients and the interior point method."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,10 +47,7 @@ def by_products(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def crowded(noise: float, seed: int, shape: tuple[int, int] = (6, 7)) -> Evaluation:
-    """Return the readings' own start with much relative noise.
-
-    The noise holds a third of the cells, or most, at a bound.
-    """
+    """Return the readings' own start with relative noise that holds many cells at a bound."""
     generator = np.random.default_rng(seed)
     scene = Scene(Panel(*shape), TwoPointReadout())
     exact = two_point_resistance(3000 * np.exp(0.2 * generator.standard_normal(shape)))
@@ -116,10 +110,7 @@ def by_differences(barrier: Barrier, function: Callable[[Barrier], Any]) -> Arra
 
 
 def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> None:
-    """With JᵀWJ at the start, and with second derivatives after one step.
-
-    At the start these are indefinite.
-    """
+    """With JᵀWJ at the start, and with second derivatives, indefinite there, after one step."""
     push = np.random.default_rng(1).standard_normal(barrier.conductance.shape) / barrier.conductance
     later = barrier.advanced()
     assert later is not None
@@ -134,10 +125,7 @@ def test_a_step_of_the_barrier_solves_its_newton_equations(barrier: Barrier) -> 
 
 
 def test_negative_curvature_under_a_large_mouth_is_overcome() -> None:
-    """Equal cells lead to a verified minimum in fewer iterations than a tenth of the patch's cells.
-
-    The patch has a hundredth of its resistance: in log r the cost of LSR-∇CR is concave there.
-    """
+    """In log r the cost of LSR-∇CR is concave under a patch of a hundredth of its resistance."""
     truth = 3000 * np.exp(0.2 * np.random.default_rng(4).standard_normal((18, 20)))
     truth[4:12, 5:13] *= 0.01
     scene = Scene(Panel(18, 20), TwoPointReadout())

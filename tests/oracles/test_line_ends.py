@@ -99,10 +99,7 @@ def circuit_of(seed: int) -> tuple[RandomEnds, Array]:
 
 
 def ends_of(circuit: RandomEnds, shape: tuple[int, int]) -> tuple[Array, Array, Array, Array]:
-    """Return the ohm and volt of all lines for each reading, (rows, columns, lines) each.
-
-    The lines that are read, (rows, columns), and the gain follow.
-    """
+    """Return ohm and volt, (rows, columns, lines) each, the lines that are read, and the gain."""
     rows, columns = shape
     by_rows = circuit.driven == "rows"
     table = circuit.terminations(*(shape if by_rows else shape[::-1]))

@@ -1,7 +1,4 @@
-"""Check of a circuit: a right one passes, a wrong one is noticed, and the right one is named.
-
-The statements hold where the data can show the difference.
-"""
+"""Check of a circuit: a right one passes, a wrong one is noticed, and the right one is named."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -255,10 +252,7 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     ids=["a resistance in series", "a leak"],
 )
 def test_soft_loads_are_not_mistaken_for_another_circuit(circuit: Readout, seed: int) -> None:
-    """Half of the cells change by a few percent.
-
-    A wrong circuit or an effect would bring this about as well.
-    """
+    """Half of the cells change by a few percent."""
     rng = np.random.default_rng(seed)
     scene = Scene(Panel(12, 9), circuit)
     row, column = np.indices((12, 9))
@@ -307,10 +301,7 @@ def test_errors_beside_noise_are_not_tried_where_chi_square_stays_beyond_noise()
 
 @pytest.mark.slow
 def test_the_misfit_of_cells_alone_stays_within_its_degrees_of_freedom() -> None:
-    """With 3 % of noise some cells of nearly every panel would have to be negative.
-
-    Tails must be uniform or larger.
-    """
+    """Tails must be uniform or larger, though some cells would have to be negative."""
     readout = TwoPointReadout()
     scene = Scene(lampest.Panel(*SHAPE, 10.0), readout)
     exact = readout.exact_reading(CELLS)
@@ -376,10 +367,7 @@ WIDE_PANEL = Panel(8, 8)
 
 
 def misdescribed(actual: Scene, specified: Scene, seed: int, frames: int = 6) -> Recording:
-    """Codes of one scene, described by another scene.
-
-    Six frames are unloaded and six have three pressed cells.
-    """
+    """Codes of one scene, described by another one: half of the frames have three pressed cells."""
     rng = np.random.default_rng(seed)
     cells = np.tile(3000 * np.exp(0.25 * rng.normal(size=actual.panel.shape)), (2 * frames, 1, 1))
     cells[frames:, 2, 3] /= 4

@@ -1,7 +1,4 @@
-"""A panel of modules: one scene, one recording, one image.
-
-Modules are estimated alone, coupled over the seams, or many at once.
-"""
+"""Modules of a panel: estimated alone, coupled over the seams, or many at once."""
 
 from dataclasses import replace
 
@@ -126,10 +123,7 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
 
 
 def test_modules_of_a_single_line_have_the_shared_errors() -> None:
-    """Each cell is at its bound, which is its reading.
-
-    Bars were 0.02 % where the reference may be 6 % off.
-    """
+    """Bars were 0.02 % where the reference may be 6 % off."""
     text = (
         "systematic: typical\npanel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: "
         "6}}}\n"

@@ -1,7 +1,4 @@
-"""An effect is a key of the scene: absent it is not modelled and costs nothing.
-
-`estimated` results hold its number.
-"""
+"""An effect is a key of the scene: absent it is not modelled and costs nothing."""
 
 import re
 from dataclasses import replace
@@ -58,10 +55,7 @@ WEIGHTED = Misfit(weighting="noise")
 
 
 def standing_load(seed: int, **keys: object) -> Recording:
-    """Return a recording of a load with sharp edges on a mat with an outline.
-
-    The load stands from the first measured frame and sways by 2 %.
-    """
+    """Return a recording of a load with sharp edges that sways by 2 % on a mat with an outline."""
     rng = np.random.default_rng(seed)
     row, column = np.indices((ROWS, COLUMNS))
     present = ((row - 5.5) / 6.6) ** 2 + ((column - 3.5) / 4.4) ** 2 < 1

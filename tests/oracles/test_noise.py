@@ -1,7 +1,4 @@
-"""Noise of frames, and shared errors from still cells, against drawn ones.
-
-Shared errors are equal in all frames.
-"""
+"""Noise of frames, and errors that all frames share, against drawn ones."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -69,10 +66,7 @@ USUAL_SERIES_OHM = 35
 def drawn(
     rng: np.random.Generator, frames: int, gain: float = 0.0, offset: float = 0.0, wave: float = 0.0
 ) -> Array:
-    """Return deviations about their mean, in σ.
-
-    The deviations consist of noise, a gain a frame, an offset a line, and a wave on all lines.
-    """
+    """Return deviations in σ: noise, a gain a frame, an offset a line, and a wave on all lines."""
     loud = 3000.0
     noise = rng.standard_normal((frames, LINES, CHANNELS))
     noise += gain * loud * rng.standard_normal((frames, 1, 1))
@@ -135,9 +129,7 @@ def test_sizes_of_effects_are_unbiased_and_their_mean_squares_cover_the_next_sam
 
 
 def test_loads_and_wrong_noise_cause_no_outliers() -> None:
-    """Cells under a mouth overshoot in the first frame: by 50 σ, after a step of 1,450. Readings
-    over their own σ vary
-    five times less than they scatter. Under a foot predictions miss by as much in most frames."""
+    """Under a mouth cells overshoot by 50 σ, and under a foot predictions miss by as much."""
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
     mouth = AuditTask(audit, "as specified", 702).recording()
     foot = lampest.datasets.load("insole_standing")
@@ -171,10 +163,7 @@ def test_a_frozen_reading_is_named_and_treated_as_missing(factor: float) -> None
 
 @pytest.mark.parametrize("noise", [0.05, 0.2, 0.4, 0.6, 1.0, 3.0])
 def test_readings_repeated_by_a_coarse_converter_are_not_frozen(noise: float) -> None:
-    """A load moves half of the rows and none of the others.
-
-    `noise` is in steps of the converter.
-    """
+    """A load moves half of the rows and none of the others."""
     rng = np.random.default_rng(int(100 * noise))
     flagged = 0
     for frames in (4, 8, 20, 100):
@@ -334,10 +323,7 @@ def test_error_bars_cover_a_specified_or_estimated_gain_of_each_frame(seed: int)
 
 
 def own_part(recording: Recording) -> tuple[float, float]:
-    """Share of cells with errors within the own part, and its size over that error.
-
-    The error of a cell is that beside its frame's median.
-    """
+    """Share of cells whose error beside the frame's median is within the own part, and its size."""
     estimate = reconstruct(recording, LSM)
     error = log_errors(estimate)
     error -= np.median(error, axis=(1, 2), keepdims=True)
@@ -377,10 +363,7 @@ SERIES = Systematic(series_tolerance_ohm="estimated")
 def test_own_deviations_cover_errors_that_differ_between_cells(
     effect: dict[str, float], keys: dict[str, str]
 ) -> None:
-    """Ripple raises some cells and lowers others.
-
-    A gain moves each by its resistance, a series loaded ones by more.
-    """
+    """Ripple raises some cells; a gain moves each by its resistance, a series loaded ones more."""
     scene = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.7), 140.0, **keys)
     plain = Simulation(1, 8, scene, baseline_frames=5, frames=4, unmodelled=Unmodelled(**effect))
     series = "series_resistance_ohm" in effect
@@ -418,11 +401,7 @@ STATIC_LINE = "systematic: {reading_error: estimated}"
     ("size", "seeds"), [(0.01, range(8)), (0.03, range(20, 28)), (0.1, range(20, 26))]
 )
 def test_the_size_of_static_errors_is_estimated_from_still_cells(size: float, seeds: range) -> None:
-    """Large ones bend the answer and press cells against their bounds.
-
-    No cells give the readings of the largest. Bars of single recordings hold for 62 to 98 % of the
-    cells, so that the mean is taken over all of them.
-    """
+    """Bars of single recordings hold for 62 to 98 % of the cells."""
     recordings = [recorded(seed, scene_of(0.7, STATIC), static=size) for seed in seeds]
     sizes = [
         Prepared(recording).noise.estimated["systematic.reading_error"][0]
@@ -460,10 +439,7 @@ def test_estimating_absent_static_errors_hardly_widens_error_bars(noise_lsb: flo
 def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Eleven values of the error cost a quarter of all.
-
-    Where these show one, all values tell its evidence, and again its number beside what else shows.
-    """
+    """Eleven values of the error cost a quarter of all."""
     scans: list[int] = []
     costs_of = unloaded_costs
 
@@ -482,10 +458,7 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
 
 
 def test_an_uneven_unloaded_panel_is_no_sign_of_channels_that_differ() -> None:
-    """Channels of 24 ohm do not take the place of a scatter of the cells.
-
-    The cells of the second panel have 72 ohm to 10 kilohm: linear theory holds for small spreads.
-    """
+    """The cells of the second panel have 72 ohm to 10 kilohm."""
     panel = Scene(Panel(16, 16), TwoPointReadout(adc_bits=12, readings=20))
     drawn = sound(94000)
     assert drawn is not None
@@ -648,10 +621,7 @@ def test_noisy_cells_are_not_taken_for_a_static_error() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("loaded", [1, 2])
 def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path) -> None:
-    """No median of three frames shows a load where one frame too many is called unloaded.
-
-    Detect names it once.
-    """
+    """No median of three frames shows a load where one frame too many is called unloaded."""
     recording = lampest.datasets.load("rod")
     frames = [0, 1, 2, *range(8, 8 + loaded), *range(12, 15)]
     role = (np.arange(len(frames)) >= 3 + loaded).astype(np.uint8)
@@ -668,10 +638,7 @@ def test_a_load_in_the_last_unloaded_frames_is_named(loaded: int, tmp_path: Path
 
 @pytest.mark.slow
 def test_a_varying_gain_is_not_taken_for_a_load_in_the_unloaded_frames() -> None:
-    """The supply moves all readings of a frame.
-
-    Without MAX_GAIN one in fifteen such recordings passed for touched.
-    """
+    """Without MAX_GAIN one in fifteen such recordings passed for touched."""
     recording = lampest.datasets.load("lamprey_35mm")
     circuit = recording.scene.circuit
     rng = np.random.default_rng(5)

@@ -1,7 +1,4 @@
-"""Leaks, contacts and saturation are taken off the frames that have them.
-
-The network is written anew here.
-"""
+"""Leaks, contacts and saturation are taken off the frames that have them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -78,10 +75,7 @@ def test_absent_nuisances_are_neither_named_nor_corrected(seed: int) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_outlier_during_a_load_is_not_taken_for_a_contact(seed: int) -> None:
-    """In the only loaded frame one reading is off by 25 ohm.
-
-    Neighbours in time cannot show this.
-    """
+    """In the only loaded frame one reading is off by 25 ohm."""
     recording = panel(seed)
     recorded = recording.recorded[: UNLOADED + 1].copy()
     recorded[-1, 0, 9] = 0.7 * recorded[:-1, 0, 9].mean() + 0.3 * recording.recorded[-1, 0, 9] + 25

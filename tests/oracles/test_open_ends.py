@@ -1,7 +1,4 @@
-"""Ends of lines that a scene leaves out: doubted where readings may show them, else named.
-
-Recordings are those of netlists.
-"""
+"""Ends of lines that a scene leaves out: doubted where readings may show them, else named."""
 
 from dataclasses import replace
 from math import inf

@@ -53,10 +53,7 @@ def recording(cells: Array, noise: float, seed: int = 0, unloaded: int = 0) -> R
 
 
 def test_an_outlier_spoils_squares_but_not_absolute_values() -> None:
-    """One reading of thirty is 20 % off on an even panel.
-
-    Who believes it, sees a cell that is not there.
-    """
+    """One reading of thirty is 20 % off on an even panel."""
     cells = truth((5, 6), 1, 11, spread=0.02)
     readings = recording(cells, 1e-4)
     wild = readings.recorded.copy()
@@ -100,10 +97,7 @@ def test_a_loss_with_a_corner_starts_at_the_optimum_of_squares(seed: int) -> Non
 @promise("theory/inverse_problem: A cell at that bound carries the flag `open_cell`")
 @pytest.mark.parametrize("formulation", ["per_pixel", "nodal", "reduced", "auto"])
 def test_a_cell_without_a_finite_optimum_ends_at_the_resolution(formulation: Any) -> None:
-    """Plain least squares with 3 % noise.
-
-    Where the misfit falls all the way to an open cell, it is called open.
-    """
+    """Plain least squares with 3 % noise, whose misfit falls all the way."""
     recorded = recording(truth((5, 7), 1, 14, spread=0.8), 3e-2, seed=14)
     solution = reconstruct(recorded, Estimator((Misfit(),), formulation)).steps[0].solution
     assert solution.solved

@@ -1,7 +1,4 @@
-"""Programs with own unknowns, constraints and costs.
-
-Every one ends in a right answer or in a sentence.
-"""
+"""Programs with own unknowns, constraints and costs end in a right answer or in a sentence."""
 
 import os
 from collections.abc import Callable
@@ -523,11 +520,7 @@ def warm_iterations(
 def test_warm_later_frames_at_10_by_10_take_three_iterations(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Frames with all readings take 2, where a load arrives up to 3.
-
-    A frame that lacks a reading, or has one again, changes a cell by up to a factor of two, and
-    takes up to 4.
-    """
+    """A frame that lacks a reading, or has one again, takes up to 4."""
     load = lampest.datasets.load
     steady, lacking = warm_iterations(load("rod"), monkeypatch)
     assert len(steady) == 18 and len(lacking) == 2 and max(*steady, *lacking) <= 3

@@ -1,7 +1,4 @@
-"""The program of node voltages, solved by IPOPT alone.
-
-The optima are those of the solver without voltages.
-"""
+"""The program of node voltages, solved by IPOPT alone."""
 
 import subprocess
 import sys

@@ -1,11 +1,4 @@
-"""No other solver finds less.
-
-Compared are random problems, heavy weights, absolute losses, joint pairs, two minima, far-off
-models.
-
-The costs are those of a second statement of the equations, `tests/least_cost.py`. Under the mark
-`soak` a thousand random problems are compared.
-"""
+"""No other solver finds less, by a second statement of the costs: `tests/least_cost.py`."""
 
 from dataclasses import replace
 
@@ -86,10 +79,7 @@ MAX_ITERATIONS = 200  # limit: a third above the largest number measured
 @promise("README: Only plain least squares of two-point readings is known to have a single one.")
 @pytest.mark.parametrize(("seed", "number"), PROBLEMS)
 def test_no_other_solver_reaches_a_lower_cost(seed: int, number: int) -> None:
-    """There may be no estimate where too little is read.
-
-    The same holds where the sentence says that arithmetic is at its end.
-    """
+    """There is no estimate where too little is read, or where arithmetic is at its end."""
     problem = RandomProblem.drawn(seed, number)
     try:
         solution = problem.solved().solution
@@ -103,10 +93,7 @@ def test_no_other_solver_reaches_a_lower_cost(seed: int, number: int) -> None:
 
 @pytest.mark.slow
 def test_a_large_joint_pair_of_noisy_readings_ends() -> None:
-    """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise.
-
-    Once it took all iterations.
-    """
+    """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise, took all iterations."""
     problem = replace(RandomProblem.drawn(97, 130), joint=True)
     cost = problem.estimator.cost(problem.scene, 2, partial=problem.data.partial)
     start = evaluated(cost, problem.data, problem.data.uniform_start)
@@ -147,10 +134,7 @@ def solved(
 def solved_with(
     kind: str, weight: float, *, scaled: bool, loss: Loss, noise: float
 ) -> tuple[Solution, LeastCost]:
-    """Return the solution of a pair, and the same cost stated anew.
-
-    A penalty that compares nothing is solved for the frame alone.
-    """
+    """Return the solution of a pair, or of a frame where nothing is compared, and its cost anew."""
     measured, sigma = pressed(noise)
     term = term_types()[kind](weight=weight, loss=loss)
     frames = slice(0 if term.needs_previous else 1, 2)
@@ -174,10 +158,7 @@ def solved_with(
     ],
 )
 def test_heavy_squares_are_verified(kind: str, weight: float, scaled: bool) -> None:
-    """Second derivatives are mere rounding along directions that a penalty leaves free.
-
-    At 10¹² the status of a frame may say so.
-    """
+    """At 10¹² the status may say that second derivatives are mere rounding."""
     solution, least = solved_with(kind, weight, scaled=scaled, loss=Squared(), noise=0.01)
     if weight > 1e9 and solution.status in (Status.ROUNDED, Status.STALLED):
         return
@@ -221,12 +202,7 @@ def test_absolute_losses_end_within_a_hundred_millionth_of_the_least_cost(
 def test_cells_that_heavy_losses_hold_at_one_bound_are_verified(
     shape: tuple[int, int], weight: float
 ) -> None:
-    """All cells equal the largest reading, which bounds its own cell.
-
-    Differences of the cells are rounding there, and the derivative of an absolute loss by them is
-    rounding over the width of its smoothing: where Newton's method ends by rounding, which depends
-    on the processor, IPOPT solves the frame.
-    """
+    """Where Newton's method ends by the rounding of equal cells, IPOPT solves the frame."""
     random = np.random.default_rng(3)
     measured = 7000 * np.exp(0.3 * random.standard_normal((1, *shape)))
     estimator = Estimator((Misfit(weighting="noise"), Gradient(weight=weight, loss=Absolute())))
@@ -240,10 +216,7 @@ def test_cells_that_heavy_losses_hold_at_one_bound_are_verified(
 
 @pytest.mark.slow
 def test_more_starts_find_the_lower_of_two_minima() -> None:
-    """A mouth of 25 mm through channels of 20 ohm that the scene does not tell.
-
-    Once it was 0.4 to 0.7 % above the lower.
-    """
+    """It was 0.4 to 0.7 % above the lower under a mouth with channels that the scene omits."""
     scene = Scene(Panel(10, 10), TwoPointReadout(), water=Water(50))
     disc = OralDisc(
         centre_mm=(44, 46), diameter_mm=25, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90, tilt=0.25
@@ -274,10 +247,7 @@ def test_more_starts_find_the_lower_of_two_minima() -> None:
 
 
 def solution_of_a_skin(kind: str, *terms: Term) -> Solution:
-    """Solve a foam skin that is nearly open where nothing presses.
-
-    The skin has contacts, memory and joined rows that its scene omits.
-    """
+    """Solve a foam skin with contacts, memory and joined rows that its scene omits."""
     random = np.random.default_rng(3)
     side = 16
     readout = CIRCUITS[kind]

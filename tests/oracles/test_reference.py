@@ -79,10 +79,7 @@ def loaded(side: int = 8, factor: float = 0.15) -> Array:
 
 
 def with_errors(cells: Array, seed: int, static: float = 0.0) -> tuple[Array, Array]:
-    """Readings (frames, rows, columns) and σ of their noise.
-
-    static : error of each reading in all frames.
-    """
+    """Readings (frames, rows, columns) with a relative static error, and σ of their noise."""
     rng = np.random.default_rng(seed)
     exact = two_point_resistance(cells)
     wrong = exact * (1 + static * rng.standard_normal(exact.shape[-2:]))
@@ -105,10 +102,7 @@ def log_error(cells: Array, truth: Array) -> float:
 def test_cells_and_the_error_scale_are_recovered_from_readings_with_7_percent_error(
     seed: int,
 ) -> None:
-    """σ says 0.3 %.
-
-    s is then 23, of Student's t with three degrees of freedom between 13 and 23.
-    """
+    """σ says 0.3 %, so that s is 23, of Student's t between 13 and 23."""
     truth = loaded()
     data, cost = problem_of(truth, seed, static=STATIC)
     scale, (estimate,) = references([data], cost)

@@ -88,10 +88,7 @@ def solved(
 
 @pytest.mark.parametrize("kind", ["reduced", "nodal"])
 def test_a_palm_far_from_the_frame_before_is_no_outlier(kind: str) -> None:
-    """From the unloaded cells every reading is beyond the corner.
-
-    The reference is the minimum next to the true cells.
-    """
+    """From the unloaded cells every reading is beyond the corner."""
     data = frame(wrong=1)
     resting, pressed = cells()
     solution = solved(kind, data, resting[None])

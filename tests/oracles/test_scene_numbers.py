@@ -153,12 +153,7 @@ def errors_of_series(
 def test_a_series_resistance_is_that_of_the_still_cells(
     readout: lampest.Readout, series: float, key: str
 ) -> None:
-    """The unknown of a program and the linear theory of `estimated`, with the same information.
-
-    Both have the unloaded frames, one loaded frame, the prior of the number, the still cells, their
-    creep and a common change. `estimated` searches the still cells, and allows for slopes around a
-    load, so that its own standard deviation is larger.
-    """
+    """The still cells' creep and common change, the prior and the frames are the same for both."""
     recording, specified = errors_of_series(readout, series, key)
     plain = replace(recording, scene=replace(recording.scene, systematic=None))
     program = lampest.program(

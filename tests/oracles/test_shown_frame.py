@@ -1,7 +1,4 @@
-"""The frame that pictures show.
-
-The film feels the applied load, suction included, in this frame.
-"""
+"""The frame that pictures show."""
 
 from pathlib import Path
 
@@ -30,10 +27,7 @@ CHANGE = 1e-6  # of log r; second-order errors are its square, times the conditi
 @pytest.mark.parametrize("panel", ["clean", "real"])
 @pytest.mark.parametrize("name", ["air_10kpa", "air_20kpa", "water_10kpa", "water_20kpa"])
 def test_the_shown_frame_contains_a_sucking_cup(name: str, panel: str) -> None:
-    """Before the suction, the rim alone moves readings further.
-
-    The real panels have uneven cells and deviating readings.
-    """
+    """Before the suction, the rim alone moves readings further."""
     if panel == "clean":
         recording = Recording.load(ROOT / "data" / f"cup_{name}.h5")
     else:

@@ -1,7 +1,4 @@
-"""Simulated recordings against closed forms, the shipped files and the published figures.
-
-A test covers each unmodelled effect.
-"""
+"""Simulated recordings against closed forms, the shipped files and the published figures."""
 
 import dataclasses
 from dataclasses import replace
@@ -167,10 +164,7 @@ def test_suction_decays_and_is_pumped_up_and_pulled_off() -> None:
 def test_the_simulated_lamprey_resembles_the_papers(
     name: str, covered: tuple[int, int], centre: tuple[int, int]
 ) -> None:
-    """Paper, figure 8-a: −82.6 % to −1.8 %.
-
-    Figure 9: a mouth of 35 mm covers 4 × 4 cells, one of 25 mm 3 × 3.
-    """
+    """Figures 8-a and 9: mouths of 35 and 25 mm cover 4 × 4 and 3 × 3 cells."""
     recording = shipped(name)
     measured = change(recording.readings().value)
     cells = change(recording.truth_cell_resistance)
@@ -208,10 +202,6 @@ def volt(recording: Recording) -> Array:
 
 
 def test_effects_have_their_specified_size() -> None:
-    """The effects range from noise and a gain of each frame to a wrong reference and wire.
-
-    Further effects are errors of readings that all frames share, a stage that clips, and a drift.
-    """
     clean = with_effects()
     ratio = with_effects(reference_tolerance=0.01).recorded / clean.recorded
     np.testing.assert_allclose(ratio, ratio[0, 0, 0], rtol=CODE_ROUNDING)
@@ -275,10 +265,7 @@ def test_the_cohort_has_thirty_different_lampreys() -> None:
 
 
 def test_a_real_scene_equals_the_clean_one_on_another_panel() -> None:
-    """The loads, times and water are the same.
-
-    The real panel is the same for all eight, and its scene omits the deviations.
-    """
+    """The real panel is the same for all eight, and its scene omits the deviations."""
     panels = set()
     for path in SIMULATED:
         ((_, clean),) = read_simulations(ROOT / "configs" / f"{path.stem}.yaml")

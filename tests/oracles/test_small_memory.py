@@ -1,7 +1,4 @@
-"""A converter's small memory is named where evidence shows it.
-
-The edge of a load is not taken for one.
-"""
+"""A converter's small memory is named where evidence shows it."""
 
 from dataclasses import replace
 
@@ -35,10 +32,7 @@ COLUMNS = LoadedColumnsReadout(load_ohm=10_000, drive_ohm=70, **CONVERTER)
 def recording_of(
     readout: Readout, cells: Array, memory: float, generator: np.random.Generator
 ) -> Recording:
-    """A recording of cells (frames, rows, columns) ohm by a converter with a memory.
-
-    The converter keeps a share of the channel before.
-    """
+    """A recording of cells (frames, rows, columns) ohm by a converter that keeps a share."""
     volt = with_memory(readout, memory, readout.exact_reading(cells))
     codes = np.round(volt / readout.lsb_volt + generator.standard_normal(volt.shape))
     role = np.repeat([0, 1], FRAMES).astype(np.uint8)

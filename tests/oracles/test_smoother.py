@@ -1,7 +1,4 @@
-"""The smoother against dense matrices, a minimiser and simulated truth.
-
-The minimiser knows its stated cost alone.
-"""
+"""The smoother against dense matrices, a minimiser and simulated truth."""
 
 from dataclasses import replace
 from typing import Literal
@@ -60,10 +57,7 @@ def panel(
     systematic: Systematic | Literal["none"] | None = None,
     resting: int = RESTING,
 ) -> Recording:
-    """Return a recording of a rod from the fifth frame on, and of a tap in the ninth alone.
-
-    The only error is the readout's noise.
-    """
+    """Return a recording of a rod from the fifth frame on, and of a tap in the ninth alone."""
     rng = np.random.default_rng(seed)
     cells = np.tile(
         3000 * np.exp(0.2 * rng.standard_normal((side, side))), (resting + FRAMES, 1, 1)
@@ -98,10 +92,7 @@ SHARED_ERRORS = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
 
 
 def unsolved_joint(chance: int) -> Joint:
-    """Three frames of four cells with errors that a frame shares, off the minimum of Φ.
-
-    The cells are far from their anchor, and `chance` random errors of each frame are free.
-    """
+    """Three frames of four cells, far from their anchor, with `chance` errors of each frame."""
     recording = panel(3, 2, SHARED_ERRORS)
     rng = np.random.default_rng(2)
     estimator = Estimator((Misfit(weighting="noise"),), "reduced")
@@ -183,10 +174,7 @@ def test_a_joint_step_solves_the_normal_equations_of_all_frames(chance: int) -> 
 
 @pytest.mark.slow
 def test_the_smoothed_frames_minimise_the_stated_cost() -> None:
-    """BFGS, from the smoothed frames and from points near them, finds no lower value of Φ.
-
-    Φ of the six frames is written out once more, from Kirchhoff's laws.
-    """
+    """BFGS finds no lower value of Φ, which is written out anew from Kirchhoff's laws."""
     recording = panel(3, 3, SHARED_ERRORS)
     estimator = Estimator(ROBUST, "smoother")
     readings = recording.readings()
@@ -288,10 +276,7 @@ def test_shared_errors_widen_the_error_bars_of_cells() -> None:
 
 @pytest.mark.slow
 def test_errors_new_in_each_scan_are_averaged_over_frames() -> None:
-    """An offset of each row of 0.4 LSB rms.
-
-    A misfit that does not know of it leaves 0.7 of the change's error.
-    """
+    """A misfit that does not know of offsets of rows leaves 0.7 of the change's error."""
     recording = panel(5, systematic="none", resting=5)
     rng = np.random.default_rng(5)
     readout = TwoPointReadout()

@@ -1,7 +1,4 @@
-"""Error bars under an absolute loss whose weight the data chose.
-
-The references are quadrature of Laplace's density, and true errors of simulated loads.
-"""
+"""Error bars under an absolute loss whose weight the data chose."""
 
 from dataclasses import replace
 

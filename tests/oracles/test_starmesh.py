@@ -89,10 +89,7 @@ def test_every_structured_panel_is_exact_to_fourteen_digits(shape: tuple[int, in
 
 @pytest.mark.slow
 def test_an_unsafe_inverse_is_noticed() -> None:
-    """Wherever fewer than ten digits of the inverse are right, its condition says so.
-
-    50 digits are the witness.
-    """
+    """Wherever fewer than ten of 50 digits of the inverse are right, its condition says so."""
     unsafe = wrong = 0
     for name, cells in structured_panels(1000, 7, 4):
         expected = in_digits(cells)
@@ -116,10 +113,7 @@ def test_open_cells_leave_the_network() -> None:
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
 def test_unconnected_lines_have_infinite_resistance(scale: float) -> None:
-    """Two clusters and a row without cells, lines in mixed order.
-
-    Within the clusters all is as in their own panel.
-    """
+    """Within the clusters all is as in their own panel."""
     rng = np.random.default_rng(8)
     first = rng.uniform(1e3, 1e4, (3, 4))
     second = rng.uniform(1e3, 1e4, (2, 3)) * scale
@@ -139,10 +133,7 @@ def test_unconnected_lines_have_infinite_resistance(scale: float) -> None:
 
 @pytest.mark.slow
 def test_shorts_join_lines() -> None:
-    """A cell of no resistance is the limit of ever smaller cells.
-
-    R is 0 between lines that shorts connect.
-    """
+    """A cell of no resistance is the limit of ever smaller cells."""
     rng = np.random.default_rng(9)
     for _ in range(200):
         cells = rng.uniform(1e3, 1e4, (rng.integers(1, 6), rng.integers(1, 6)))
@@ -167,10 +158,7 @@ def test_impossible_cells_are_refused(wrong: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("decades", [0, 15])
 def test_a_panel_of_hundred_by_hundred_keeps_its_digits(decades: float) -> None:
-    """All pairs for a small multiple of one inverse.
-
-    An elimination for every pair would take minutes.
-    """
+    """An elimination for every pair would take minutes."""
     for name, cells in structured((100, 100), np.random.default_rng(13), decades):
         begin = time.process_time()
         resistance = exact_two_point_resistance(cells)

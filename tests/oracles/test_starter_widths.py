@@ -38,10 +38,7 @@ def with_series(scene: Scene, ohm: float) -> Scene:
 def test_error_bars_of_a_starter_are_as_wide_as_the_errors_of_its_parts(
     tmp_path: Path, circuit: str
 ) -> None:
-    """Parts are drawn as the scene names them; z = error/σ has an rms of about one.
-
-    The errors of a draw are common to all cells, so that `DRAWS` draws scatter by a quarter.
-    """
+    """z = error/σ of drawn parts has an rms of about one; `DRAWS` draws scatter by a quarter."""
     simulation = starter(tmp_path, circuit)
     sizes = simulation.scene.systematic
     rng = np.random.default_rng(5)

@@ -1,7 +1,4 @@
-"""Why each term beyond the paper exists: a scene on which it wins.
-
-The error bars that the arrival carries on are tested too.
-"""
+"""Why each term beyond the paper exists: a scene on which it wins."""
 
 from dataclasses import replace
 from functools import cache
@@ -70,10 +67,7 @@ DISC = OralDisc(
 
 @cache
 def scene(load: Shape, frames: int, depth: float, seed: int) -> Recording:
-    """Two unloaded frames, then `frames` of a load that swings; noise of 0.5 %.
-
-    The load swings by `depth` once in nine frames.
-    """
+    """Two unloaded frames, then `frames` of a load that swings by `depth`; noise of 0.5 %."""
     rng = np.random.default_rng(seed)
     course = Course(breathing_hz=1 / 9, breathing_depth=depth)
     time = np.arange(frames + 2.0) - 2
@@ -154,10 +148,7 @@ def test_a_term_wins_on_its_scene(claim: str) -> None:
 
 @pytest.mark.parametrize("term", COMPARING_TERMS, ids=lambda term: f"{term.kind}-{term.loss.kind}")
 def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
-    """From starts some factor of four apart.
-
-    The relative change has up to three minima there and must be searched.
-    """
+    """The relative change has up to three minima from starts some factor of four apart."""
     rng = np.random.default_rng(9)
     recorded = scene(CUP, 1, 0.0, 10)
     resting = recorded.truth_cell_resistance[0]
@@ -174,10 +165,7 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
 
 @pytest.mark.parametrize("reads_both", [False, True])
 def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
-    """Errors of the baseline and of the previous frame add to those of the estimate.
-
-    The added errors are those of estimates from displaced baselines and previous frames.
-    """
+    """The added errors are those of estimates from displaced baselines and previous frames."""
     rng = np.random.default_rng(8)
     shape = (3, 4)
     cells = 12
@@ -228,10 +216,7 @@ def recorded(cells: Array, seed: int, noise: float = NOISY) -> Recording:
 
 @cache
 def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
-    """Return a recording of the whole panel pressed in rhythm, or of one of three loads.
-
-    The loads are a disc that breathes, a rod that stands, and a disc that attaches at frame 5.
-    """
+    """Return a recording of a pressed panel, a breathing or attaching disc, or a standing rod."""
     rng = np.random.default_rng(seed)
     count = np.arange(frames + 2) - 2
     breathing = 1 + 0.3 * np.sin(2 * np.pi * 0.1 * count)
@@ -294,10 +279,7 @@ def walk(seed: int, percent: float, frames: int = 12) -> Recording:
 def test_error_bars_match_the_errors(
     percent: float, ratio: tuple[float, float], coverage: tuple[float, float]
 ) -> None:
-    """Error bars match where cells walk as the term says.
-
-    Where they rest, bars allow for a walk that is not there.
-    """
+    """Where cells rest, bars allow for a walk that is not there."""
     spread = []
     inside = []
     for seed in range(20):

@@ -1,9 +1,4 @@
-"""Weights chosen by the data, their curves and rules.
-
-The references are definitions, the cost stated anew, and hindsight.
-
-Error bars of draws of the prior are calibrated, and withheld readings are predicted.
-"""
+"""Weights chosen by the data against definitions, the cost stated anew, and hindsight."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -106,10 +101,7 @@ def measured_data(
 
 @pytest.mark.parametrize(("number", "factor"), [(1, 1e-3), (1, 1.0), (1, 30.0), (2, 1.0)])
 def test_the_risk_at_the_truth_is_the_mean_squared_error(number: int, factor: float) -> None:
-    """The risk of the linear estimate with two penalties is a sum over the noise.
-
-    The errors of the point itself add to it.
-    """
+    """The risk of the linear estimate is a sum over the noise, to which the point's errors add."""
     estimator = Estimator(
         (Misfit(), Gradient(weight=1e-5), CellResistance(weight=1e-7)), formulation="reduced"
     )
@@ -167,10 +159,7 @@ def test_the_evidence_chooses_its_fixed_point_with_an_uncertainty(
 @pytest.mark.slow
 @pytest.mark.parametrize("frame", [0, 10, 17])
 def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -> None:
-    """Open cells differ from their neighbours by megohms.
-
-    The estimate must not swing with the weight.
-    """
+    """Open cells differ from their neighbours by megohms."""
     recording = Recording.load("data/insole_standing.h5", slice(frame, frame + 3))
     weights = []
     for rule in ("risk", "evidence"):
@@ -187,10 +176,7 @@ def test_evidence_and_risk_choose_similar_weights_on_a_real_sensor(frame: int) -
 @pytest.mark.slow
 @pytest.mark.parametrize("static", [0.0, 5.0], ids=["uneven cells", "static errors"])
 def test_a_large_panel_distinguishes_uneven_cells_from_static_errors(static: float) -> None:
-    """Cells that differ at random by 30 %, and readings that err.
-
-    The readings err by five times their noise in the same way always.
-    """
+    """Cells differ at random by 30 %, and readings err by five times their noise."""
     rng = np.random.default_rng(3)
     shape = (24, 20)
     readout = TwoPointReadout(adc_bits=10, noise_lsb=2.0, readings=1, reference_ohm=300.0)
@@ -232,10 +218,7 @@ def test_the_risk_of_several_solves_and_penalties_is_least_at_the_chosen_weights
 
 
 def test_a_warning_names_a_chosen_weight_that_prevents_the_fit() -> None:
-    """A penalty on log r with a weight a thousand times too large.
-
-    Half of the cells are loaded.
-    """
+    """A weight of log r is a thousand times too large."""
     truth = np.where(np.indices((2, 6, 6))[2] < 3, 2000.0, 4000.0)
     values = lampest.two_point_resistance(truth)
     scene = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(readings=20, noise_lsb=0.7))
@@ -388,10 +371,7 @@ def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> Wei
 
 
 def test_the_evidence_at_each_estimate_is_that_of_laplace() -> None:
-    """The evidence equals −2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1.
-
-    A constant that does not depend on λ may differ.
-    """
+    """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, but for a constant."""
     recording = bump()
     problem = subject(Gradient(weight="auto"), recording, Bounds("none", "none"))
     scale = float(np.mean(recording.sigma[2] ** 2))

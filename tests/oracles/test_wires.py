@@ -1,9 +1,4 @@
-"""Wire, contacts, touching lines, a converter's memory.
-
-With the right scene the cells are recovered, and with another one they are not.
-
-The wired network is held against badcrossbar (Joksas & Mehonic, SoftwareX 12, 100617, 2020; MIT).
-"""
+"""Wire, held against badcrossbar (SoftwareX 12, 100617), contacts, touching lines, memory."""
 
 import warnings
 from dataclasses import replace
@@ -192,10 +187,7 @@ def test_a_reading_bounds_the_cell_with_its_wire() -> None:
 @each_readout
 @pytest.mark.parametrize("lines", [None, Lines(1.0, 0.5)], ids=["bare", "wire"])
 def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines | None) -> None:
-    """The sum of conductances of the cells on a joined crossing is right.
-
-    A single one of these cells has infinite error bars.
-    """
+    """A single cell on a joined crossing has infinite error bars, and their sum is right."""
     recording = simulated(
         Scene(Panel(7, 8), readout, faults=TOUCHING, lines=lines, systematic="none")
     )
@@ -230,10 +222,7 @@ def test_joined_lines_leave_the_other_cells_exact(readout: Readout, lines: Lines
     "term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"]
 )
 def test_shares_determined_only_by_a_penalty_reach_their_optimum(term: Term) -> None:
-    """The valley of cells that are parallel is curved.
-
-    A straight step leaves it, and hundreds of them did not end.
-    """
+    """Hundreds of straight steps left the curved valley of cells that are parallel."""
     recording = simulated(
         Scene(Panel(8, 6), READOUTS["two_point"], faults=Faults(joined_rows=((2, 3),)))
     )
@@ -265,10 +254,6 @@ def contacted(
 
 @each_readout
 def test_contacts_hardly_affect_the_change_of_cells(readout: Readout) -> None:
-    """Contacts are equal in both frames.
-
-    Error bars of changes are far narrower than those of cells.
-    """
     estimate = solved(contacted(readout, 5))
     bars = estimate.cell_resistance_errors / estimate.cell_resistance
     assert np.median(estimate.relative_change_errors / 100) < NARROWER * np.median(bars)

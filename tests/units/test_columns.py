@@ -1,7 +1,4 @@
-"""Columns of results: the union is walked.
-
-A further one is a line in a script or a name in a package.
-"""
+"""Columns of results; a further one is a line in a script or a name in a package."""
 
 import dataclasses
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Commands as a newcomer meets them.
-
-The topics are help, mistakes of typing, overrides, pictures, remaining files and refusals.
-"""
+"""Commands as a newcomer meets them."""
 
 import re
 import shutil
@@ -238,10 +235,7 @@ def test_progress_on_a_terminal_shows_the_count_and_the_remaining_time(
 def test_the_remaining_time_follows_from_what_is_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a run with 4 frames of 10 done before; its two checks begin after the frames.
-
-    The time until the first frame, in which recordings are prepared, is none of frames.
-    """
+    """Two checks begin after the frames; the time until the first frame is none of frames."""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "100")

@@ -1,7 +1,4 @@
-"""The place where cases run changes nothing but time.
-
-Cases run in this process, in others, on a Dask cluster, and with workers that die.
-"""
+"""The place where cases run changes nothing but time."""
 
 import ctypes
 import dataclasses
@@ -328,10 +325,7 @@ def test_frames_are_counted_while_cases_are_solved(
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with an authority's certificate and one that it signed.
-
-    The folder's name has a blank and a quote.
-    """
+    """Return a folder, its name with a blank and a quote, with certificates of an authority."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl makes the certificates")
     folder = tmp_path_factory.mktemp("it's mine")

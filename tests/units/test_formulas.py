@@ -60,10 +60,7 @@ def test_cells_are_added_until_none_gains_however_many_these_are() -> None:
 
 
 def evidence(change: Array, covariance: Array, moved: NDArray[np.bool_]) -> float:
-    """Return −2 ln of N(d; 0, C + 1 of moved cells) over that of no moved cells.
-
-    Every moved cell adds its prior odds.
-    """
+    """Return −2 ln of N(d; 0, C + 1 of moved cells) over that of none, with the prior odds."""
     with_moved = covariance + np.diag(moved.astype(float))
     volume = np.linalg.slogdet(with_moved)[1] - np.linalg.slogdet(covariance)[1]
     return float(change @ np.linalg.solve(with_moved, change) + volume + MOVED_COST * moved.sum())
@@ -111,10 +108,7 @@ def test_a_field_costs_its_outline_and_the_density_of_its_covariance() -> None:
 def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Two loads have two frames each.
-
-    The strongest cell moves by a quarter under the first load; under the second another cell moves.
-    """
+    """The strongest cell moves by a quarter under the first load, another one under the second."""
     logarithm = np.full((4, 2, 3), 0.1)
     logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
     logarithm[:, 0, 1] = [0.1, 0.1, 0.3, -0.3]
@@ -132,10 +126,7 @@ def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
 def test_a_forked_child_renews_only_the_locks_of_cached_properties(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A property's lock would be held there for ever by a thread of the parent.
-
-    The module's own is free again.
-    """
+    """A property's lock would be held there for ever by a thread of the parent."""
     held = RLock()
     waiting: Any = cached_property(len)
     waiting.lock = held

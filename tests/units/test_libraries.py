@@ -1,7 +1,4 @@
-"""Libraries: messages where one is missing, and commands that import fewer.
-
-The commands do without libraries that take long to import.
-"""
+"""Libraries: messages where one is missing, and commands that import fewer."""
 
 import ast
 import itertools

@@ -51,10 +51,7 @@ def trend() -> Array:
 
 
 def joint_cost(pair: FittedPair, changed: Array) -> float:
-    """Return −2 ln p(y_b, y_f)/p(y_b) of linear readings, about the fits.
-
-    Channels are alike, or differ by their standard deviation.
-    """
+    """Return −2 ln p(y_b, y_f)/p(y_b) of linear readings, with channels alike or different."""
     resting, loaded = pair.frames
     scatter = film_scatter(resting.scene, resting.readings, resting, 0.0)
     film = 1e4 * trend() @ trend().T + scatter**2 * np.eye(COUNT)

@@ -1,7 +1,4 @@
-"""Cells of a file, of live replay, of a board's frames and of the user's own loop are equal.
-
-The scene may name any effect.
-"""
+"""Cells of a file, of live replay, of a board's frames and of the user's own loop are equal."""
 
 from dataclasses import dataclass, replace
 

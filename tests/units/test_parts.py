@@ -1,7 +1,4 @@
-"""Recordings too long for memory: their parts make one result, killed or not.
-
-The memory does not grow with the recording.
-"""
+"""Recordings too long for memory: their parts make one result, killed or not."""
 
 import os
 import subprocess
@@ -157,12 +154,7 @@ def test_a_long_recording_has_the_frame_period_of_its_first_part(
 def test_an_ended_run_resumes_after_its_last_part(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, apart: bool
 ) -> None:
-    """Three parts of 16 frames, of estimates that look back or do not.
-
-    The second is damaged before it goes on.
-
-    Parts that stand apart are solved in any order, by an executor or by the case itself.
-    """
+    """Parts that stand apart are solved in any order; the second of three is damaged."""
     progress: list[tuple[int, int]] = []
 
     class Backwards(Serial):
@@ -243,10 +235,7 @@ def test_a_parts_folder_that_links_elsewhere_is_left_unchanged(
     not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone"
 )
 def test_memory_is_independent_of_the_number_of_frames(tmp_path: Path) -> None:
-    """Peak resident size of two processes.
-
-    The 25 maps of the longer recording alone would be 48 MB.
-    """
+    """The 25 maps of the longer recording alone would be 48 MB."""
     scene = lampest.Scene(
         lampest.Panel(10, 10), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0
     )

@@ -1,7 +1,4 @@
-"""Kinds of pictures: the union is walked.
-
-A further one is a class in a script or a name in a package.
-"""
+"""Kinds of pictures; a further one is a class in a script or a name in a package."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Readings that firmware changed before it sent them.
-
-lampest recognises and refuses such readings and, where possible, restores them.
-"""
+"""Readings that firmware changed: recognised, refused and, where possible, restored."""
 
 from dataclasses import replace
 from pathlib import Path

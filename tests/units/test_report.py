@@ -193,10 +193,7 @@ def test_reports_are_reproducible_and_wrong_input_gives_one_sentence(tmp_path: P
 
 
 def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:
-    """Return an estimate in which 1 kPa presses clearly.
-
-    The common errors are zero unless `maps` has them.
-    """
+    """Return an estimate in which 1 kPa presses clearly, without common errors but in `maps`."""
     known = {
         "pressure_common": np.zeros(SHAPE),
         "pressing": (maps["pressure"] > 1).astype(np.uint8),
@@ -205,10 +202,7 @@ def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:
 
 
 def maps() -> tuple[np.ndarray, np.ndarray]:
-    """kPa: nothing, then a block of 2 × 3 cells, then one cell in the corner.
-
-    The block is at rows 4 and 5, columns 6 to 8.
-    """
+    """kPa: nothing, then a block at rows 4 and 5, columns 6 to 8, then one cell in the corner."""
     pressure = np.full(SHAPE, 0.1)
     errors = np.full(SHAPE, 0.2)
     pressure[1, 4:6, 6:9] = 10.0, 12.0, 10.0

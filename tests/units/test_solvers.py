@@ -1,7 +1,4 @@
-"""Solvers: the least-squares loop against scipy's.
-
-Second derivatives that serve twice, and IPOPT's starts, are tested too.
-"""
+"""Solvers: the least-squares loop against scipy's, second derivatives, IPOPT's starts."""
 
 from dataclasses import replace
 from typing import Any
@@ -149,10 +146,7 @@ def test_a_later_frame_keeps_a_strict_minimum_in_spite_of_negative_curvature(
 def test_ipopt_reaches_the_optimum_from_near_and_far(
     kind: str, readout: Readout, method: str
 ) -> None:
-    """IPOPT never takes the start for the answer.
-
-    With its own multipliers it needs few iterations.
-    """
+    """IPOPT never takes the start for the answer, and continues with its own multipliers."""
     cost, data, cells = problem(readout, method)
     solver = Ipopt(cost, Settings(), readout, None, kind)
     optimum = (

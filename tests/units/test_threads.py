@@ -176,10 +176,7 @@ def test_a_dropped_owner_waits_for_a_guarded_call_and_runs_no_python_code_meanwh
 
 @pytest.mark.slow
 def test_processes_forked_during_estimates_can_estimate() -> None:
-    """A fork may interrupt the owner of a lock.
-
-    Python 3.11 locks cached properties while they are computed.
-    """
+    """Python 3.11 locks cached properties while they are computed."""
     run(
         """
         over = threading.Event()

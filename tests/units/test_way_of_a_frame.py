@@ -23,10 +23,7 @@ NO_OBJECT = "file, page, stream"
 
 
 def traced_classes(action: Any) -> list[str]:
-    """Return the names of the package's classes in the order of their first objects.
-
-    The order is that in which `action` first makes an object of them.
-    """
+    """Return the names of the package's classes in the order of their first objects."""
     classes: list[str] = []
 
     def notice(frame: FrameType, event: str, _: Any) -> None:

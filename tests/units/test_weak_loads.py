@@ -54,8 +54,7 @@ def test_a_change_of_a_cell_below_the_said_threshold_does_not_show(penalty: lamp
 
 
 def test_the_share_that_is_said_is_that_of_a_cell_s_change() -> None:
-    """Cells that change by a further 2 % show the share of it, and a weight of one's own is no
-    doubt."""
+    """Cells change by a further 2 %, and a weight of one's own is no doubt."""
     recording = weak_load(SEED, DEPTH, 8.0)
     estimates = lampest.reconstruct(recording, [lampest.Misfit(), lampest.LogGradient()])
     share = re.search(r"(\d+)%", doubt_of(estimates))
