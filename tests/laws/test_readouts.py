@@ -24,7 +24,6 @@ from lampest import (
     SeriesPerLine,
     TwoPointReadout,
 )
-from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.typed import members_of
 from lampest.panel.circuit import nominal_terminations
 from lampest.panel.difference_network import contact_responses
@@ -183,11 +182,6 @@ def test_every_readout_of_the_package_derives_from_the_base_itself() -> None:
     of_package = [kind for kind in derived(Readout) if kind.__module__.startswith("lampest.")]
     assert {ModulesReadout, ParallelDividers, TwoPointReadout} <= {*of_package}
     assert {kind.__bases__ for kind in of_package} == {(Readout,)}
-
-
-@every_scene
-def test_a_scene_with_the_readout_survives_yaml(scene: Scene) -> None:
-    assert validated(parse_document(to_yaml(scene), "law"), Scene) == scene
 
 
 @every_scene

@@ -157,31 +157,6 @@ def test_results_hold_the_number_with_its_deviation(tmp_path: Path) -> None:
     assert f"    {line}" in estimate.fit_report().partition("[[Estimated]]")[2]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("keys", "advised"),
-    [
-        ({"systematic": STATIC}, "record five or more unloaded frames"),
-        ({"gain": "estimated"}, "record two or more unloaded frames"),
-        ({"motion": "estimated"}, "give the share"),
-        ({"converter_memory": "estimated"}, "record unloaded frames"),
-        ({"creep": "estimated"}, "record unloaded frames"),
-        (
-            {"systematic": Systematic(reference_tolerance="estimated")},
-            "record five or more unloaded frames",
-        ),
-    ],
-)
-def test_warnings_name_undetermined_effects_and_the_needed_recording(
-    keys: dict, advised: str
-) -> None:
-    recording = standing_load(5, **keys)
-    loaded = replace(recording, role=np.ones_like(recording.role))
-    estimate = lampest.reconstruct(loaded, [WEIGHTED, LogGradient(weight=1.0)])
-    (line,) = (line for line in estimate.noise.warnings if "estimated, but" in line)
-    assert advised in line and estimate.solved.all()
-
-
 @pytest.mark.slow
 def test_still_cells_show_the_share_of_a_scan_and_readings_are_interpolated_to_its_middle() -> None:
     """A rock creeps by a tenth of a pitch a frame, and each reading has its own time."""
@@ -225,29 +200,6 @@ def test_bars_allow_for_any_share_where_no_cell_is_still() -> None:
     moving = moving_load(903, "hand", Motion(speed=0.3), {"motion": "estimated"})
     assert "motion" not in Prepared(moving).noise.estimated
     assert figures(moving, advised=False)[4] > 85
-
-
-def test_a_reference_tolerance_keeps_its_prior() -> None:
-    estimate = lampest.reconstruct(
-        standing_load(6, systematic=Systematic(reference_tolerance="estimated"))
-    )
-    assert any("lampest calibrate" in line for line in estimate.noise.warnings)
-    assert estimate.recording.scene.systematic.reference_tolerance == 0.06
-
-
-@pytest.mark.slow  # tests/oracles/test_small_memory.py has fast ones
-def test_the_memory_of_a_converter_is_estimated() -> None:
-    recording = standing_load(7)
-    volt = recording.scene.circuit.volt_from_recorded(recording.recorded)
-    remembered = 0.92 * volt + 0.08 * np.roll(volt.reshape(len(volt), -1), 1, axis=1).reshape(
-        volt.shape
-    )
-    recorded = recording.scene.circuit.recorded_from_volt(remembered)
-    forgetful = replace(
-        recording, recorded=recorded, scene=replace(recording.scene, converter_memory="estimated")
-    )
-    size, deviation = Prepared(forgetful).noise.estimated["converter_memory"]
-    assert abs(size - 0.08) < max(3 * deviation, 0.005)
 
 
 def with_errors(size: float, **keys: Any) -> Recording:
@@ -397,31 +349,6 @@ def test_a_load_that_moves_by_a_pitch_a_frame_is_advised_to_be_named() -> None:
     audit = advice.Audit(Prepared(moving_load(41, "mouth", Motion(speed=1.0), {})))
     assert audit.verdict.mark == "no"
     assert [finding.line for finding in audit.advice] == ["motion: estimated"]
-
-
-@pytest.mark.slow
-def test_bars_hold_channels_that_differ_by_more_than_usual() -> None:
-    """With the usual 3 ohm, 56 % of the cells were within their error bars."""
-    readout = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=4)
-    spread = Systematic(channel_spread_ohm="estimated")
-    scene = Scene(Panel(8, 8), readout, 140.0, systematic=spread)
-    rod = lampest.Rod(centre_mm=(30, 35), diameter_mm=22, mass_g=400)
-    own = []
-    for seed in (11, 12, 13):
-        of_rod = lampest.Simulation(
-            1,
-            seed,
-            scene,
-            baseline_frames=5,
-            frames=4,
-            loads=(rod,),
-            unmodelled=lampest.Unmodelled(channel_spread_ohm=10.0),
-        )
-        recording = lampest.simulate(of_rod, "rod")
-        own.append(figures(recording, advised=False)[1])
-        size, deviation = Prepared(recording).noise.estimated["systematic.channel_spread_ohm"]
-        assert abs(size - 10) < 2 * deviation
-    assert np.mean(own) > 85
 
 
 def test_bars_hold_scatter_of_films_that_errors_of_readings_hide() -> None:

@@ -118,29 +118,6 @@ def test_signed_codes_run_from_below_zero() -> None:
     ]
 
 
-def test_negative_codes_of_a_signed_converter_are_taken() -> None:
-    """Without the key they are refused with the codes that the converter has."""
-    signed = Characteristic(signed=True, full_volt=4.096)
-    board = GroundedReadout(
-        supply_volt=3.3, adc_bits=16, readings=1, noise_lsb=2.0, load_ohm=10_000.0
-    )
-    rng = np.random.default_rng(3)
-    cells = np.exp(rng.uniform(np.log(2000), np.log(9000), (6, 6)))
-    cells[2] = 1e9
-    scene = Scene(Panel(6, 6), replace(board, converter=signed))
-    codes = scene.circuit.code_from_volt(
-        scene.circuit.exact_reading(cells) + 25e-5 * rng.standard_normal((40, 6, 6))
-    )
-    assert codes.min() < 0
-    recording = Recording.from_array(codes * 1.0, unit="code", scene=scene, baseline=20)
-    estimate = lampest.reconstruct(recording)
-    conducting = cells < 1e6
-    ratio = np.median(estimate.cell_resistance, axis=0)[conducting] / cells[conducting]
-    assert abs(np.median(ratio) - 1) < 0.01
-    with pytest.raises(InputError, match="is no code of a 16-bit"):
-        Recording.from_array(codes * 1.0, unit="code", scene=Scene(Panel(6, 6), board), baseline=20)
-
-
 def test_codes_of_a_dead_zone_are_bounds() -> None:
     scene = Scene(Panel(2, 2), readout(converter=DEAD_ZONE))
     codes = np.array([[[0.0, 100.0], [300.0, 1023.0]]])

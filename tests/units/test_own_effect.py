@@ -9,12 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from contracts.own_effect import Crosstalk
-from laws import test_effects as laws
 from numpy.testing import assert_allclose, assert_array_equal
 
 import lampest
-from lampest.audit.advice import unnamed_effects
-from lampest.audit.finding import with_addition
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects import shared_effects, systematic_of
 from lampest.recording.simulation.measure import random_stream
@@ -131,25 +128,6 @@ def test_estimated_it_has_a_prior_and_gets_its_number(tmp_path: Path) -> None:
     size, deviation = noise.estimated[KEY]
     assert abs(size - abs(TRUE)) < 2 * deviation < 2 * Crosstalk.prior
     assert Prepared(recording).resolved.scene.estimated == {KEY: (size, deviation)}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("installed")
-def test_unnamed_it_is_advised(tmp_path: Path) -> None:
-    off = simulated(tmp_path, SIZE)
-    (finding,) = unnamed_effects(Prepared(off))
-    assert finding.line == "systematic: {crosstalk: estimated}" and "crosstalk of" in finding.what
-    named = with_addition(off.scene, finding.addition)
-    assert named.systematic == lampest.Systematic(crosstalk="estimated")
-    assert not unnamed_effects(Prepared(replace(off, scene=named)))
-    assert not unnamed_effects(Prepared(simulated(tmp_path)))
-
-
-@pytest.mark.usefixtures("installed")
-def test_it_is_under_the_law_tests() -> None:
-    (own,) = (error for error in shared_effects() if error.setting == "crosstalk")
-    assert own.unit == ""
-    laws.test_columns_of_a_shared_error_are_proportional_to_its_setting(own)
 
 
 @pytest.mark.slow
