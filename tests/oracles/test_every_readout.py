@@ -308,46 +308,6 @@ def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> N
         )
 
 
-@pytest.mark.parametrize(
-    ("readout", "message"),
-    [
-        ("{kind: driven, load_ohm: .inf}", "load_ohm, idle_ohm and idle_load_ohm are all infinite"),
-        ("{kind: driven, idle_ohm: 0, load_ohm: .inf, idle_load_ohm: 0}", "ratios of cells alone"),
-        ("{kind: two_point, idle_ohm: 0}", "t.yaml:3:28: readout.idle_ohm: "),
-        (
-            "{kind: two_point, measured_across: sensor, groups: [[0, 1], [2]]}",
-            "measured_across must be reference",
-        ),
-        (
-            "{kind: driven, groups: [[0, 1], [1, 2]]}",
-            "t.yaml:3:25: readout.groups overlap: line 1",
-        ),
-        ("{kind: driven, groups: [[0], [1]]}", "t.yaml:3:25: readout.groups: column 2 is left out"),
-        (
-            "{kind: grounded, groups: [[0, 1], [2, 3]]}",
-            "readout.groups: there is no column 3",
-        ),
-        (
-            "{kind: driven, driven: columns, groups: [[0, 1], []]}",
-            "t.yaml:3:42: readout.groups: every multiplexer has at least one line",
-        ),
-        (
-            "{kind: driven, drive_volt: 1, polarity: down}",
-            "drive_volt and converter_volt have no place",
-        ),
-    ],
-)
-def test_contradictory_keys_are_refused_at_their_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, readout: str, message: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("t.yaml").write_text(f"# a scene\npanel: {{rows: 4, columns: 3}}\nreadout: {readout}\n")
-    with pytest.raises(InputError) as raised:
-        lampest.read_scene("t.yaml")
-    assert message in str(raised.value)
-    assert str(raised.value).startswith("t.yaml:")
-
-
 def wired_volts(cells: Array, scene: Scene) -> Array:
     """Volt at the converter of a wired panel, resistor by resistor."""
     readout: Any = scene.circuit

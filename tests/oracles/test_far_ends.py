@@ -183,15 +183,3 @@ def test_a_terminal_is_no_far_end() -> None:
     far = replace(near, read_at="far_end")
     assert not isinstance(near.network(cells, near.ties(cells)), JoinedNetwork)
     assert_allclose(far.exact_reading(cells), near.exact_reading(cells), rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"load_volt": 2.0, "idle_ohm": 1000.0}, "read_at: circuits with several potentials"),
-        ({"read_at": "far"}, "read_at"),
-    ],
-)
-def test_far_ends_that_cannot_be_modelled_are_refused(keys: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Scene(Panel(3, 4), DrivenReadout(**{"drive_ohm": 50.0, "read_at": "far_end"} | keys))

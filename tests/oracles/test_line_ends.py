@@ -7,7 +7,6 @@ formula anew for every reading, with all lines that end anywhere.
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal
 
 import mpmath
@@ -16,16 +15,12 @@ import pytest
 
 from lampest import (
     Array,
-    Diode,
     DrivenReadout,
-    InputError,
     NeighbourLeaks,
     Panel,
     Readout,
     Scene,
-    TwoPointReadout,
     VirtualGroundReadout,
-    read_scene,
 )
 from lampest.panel.circuit import Ends, Terminations, scanned
 from lampest.panel.equation import equation_of
@@ -244,79 +239,10 @@ def test_offsets_hold_the_sensed_lines_of_inverting_amplifiers_and_are_recorded(
     assert added == pytest.approx(np.broadcast_to(offset, (3, 3)))
 
 
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"idle_ohm": np.inf}, "names no resistor that could stay"),
-        ({"idle_ohm": 0.0}, "a line that 0 ohm hold cannot be driven"),
-        ({"idle_volt": "follows", "idle_load_ohm": np.inf}, "no place with idle_volt: follows"),
-        ({"diode": Diode()}, "a diode beside resistors that stay"),
-        ({"idle_stays": False, "driven_groups": ((0,), (1,))}, "idle_stays: true"),
-        ({"offset_volt": 2.0}, "offset_volt must lie within 0.1 V of zero"),
-        ({"driven_groups": ((None,), (0, 1))}, "every multiplexer has at least one line"),
-    ],
-)
-def test_contradictory_ends_are_refused(keys: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        replace(PULL_DOWNS, **keys)
-
-
-@pytest.mark.parametrize(
-    ("readout", "place"),
-    [
-        (
-            "{kind: driven, load_ohm: [.inf, 1e4, .inf], idle_load_ohm: .inf}",
-            "2:25: readout.load_ohm: while row 0 is driven and column 0 is read no other line",
-        ),
-        (
-            "{kind: driven, driven: columns, load_ohm: [.inf, 1e4], idle_load_ohm: .inf}",
-            "2:42: readout.load_ohm: while column 0 is driven and row 0 is read no other line",
-        ),
-    ],
-)
-def test_a_line_that_is_read_while_nothing_ends_is_refused_with_its_place(
-    readout: str, place: str, tmp_path: Path
-) -> None:
-    scene = tmp_path / "scene.yaml"
-    shape = "{rows: 2, columns: 3, pitch_mm: 10}"
-    scene.write_text(f"panel: {shape}\nreadout: {readout}\n", encoding="utf-8")
-    with pytest.raises(InputError, match=f"scene.yaml:{place}"):
-        read_scene(scene)
-
-
 def test_idle_lines_that_end_let_a_line_be_read_without_a_resistor() -> None:
     held = DrivenReadout(idle_ohm=40.0, load_ohm=(np.inf, 1e4, np.inf), idle_load_ohm=np.inf)
     assert np.all(np.isfinite(held.exact_reading(np.full((2, 3), 3e3))))
     assert Scene(Panel(2, 3), held).readout == held
-
-
-def test_leaks_that_do_not_fit_a_panel_are_refused() -> None:
-    board = TwoPointReadout()
-    with pytest.raises(InputError, match=r"leak_ohm\.rows: a single line has no neighbour"):
-        Scene(Panel(1, 4), board, leak_ohm=NeighbourLeaks(rows=6000.0))
-    with pytest.raises(
-        InputError, match=r"leak_ohm\.columns lists 4 numbers, but 4 columns have 3"
-    ):
-        Scene(Panel(3, 4), board, leak_ohm=NeighbourLeaks(columns=(6000.0,) * 4))
-    with pytest.raises(InputError, match="leak_ohm names no leak"):
-        NeighbourLeaks()
-
-
-@pytest.mark.parametrize(
-    ("leaks", "sentence"),
-    [
-        ("{rows: [6000, 5000]}", ":2:12: leak_ohm.rows lists 2 numbers, but 4 rows have 3 gaps"),
-        ("{rows: -1}", ":2:1: leak_ohm.rows must be positive and finite"),
-        ("{}", ":2:1: leak_ohm names no leak: give rows, columns or both"),
-        ("5", ":2:1: leak_ohm: must be a mapping, not 5"),
-    ],
-)
-def test_a_sentence_says_its_key_once(leaks: str, sentence: str, tmp_path: Path) -> None:
-    scene = tmp_path / "scene.yaml"
-    scene.write_text(f"panel: {{rows: 4, columns: 3}}\nleak_ohm: {leaks}\n", encoding="utf-8")
-    with pytest.raises(InputError) as refused:
-        read_scene(scene)
-    assert str(refused.value) == f"{scene}{sentence}"
 
 
 @pytest.mark.parametrize("seed", range(0, COUNT, 10))

@@ -13,10 +13,8 @@ from promises import promise
 import lampest
 from lampest import (
     Array,
-    Diode,
     DrivenReadout,
     GroundedReadout,
-    InputError,
     LoadedColumnsReadout,
     Misfit,
     Panel,
@@ -130,49 +128,6 @@ def test_every_circuit_with_potentials_agrees_with_its_netlist(name: str) -> Non
     readout = OTHERS[name]
     cells = cells_of(7)
     assert_allclose(recorded(readout, cells), volts(cells, readout), rtol=1e-10, atol=1e-10)
-
-
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"idle_volt": 1.0}, "idle_volt has no place where idle driven lines float"),
-        ({"idle_ohm": 100.0, "idle_volt": "follows", "groups": PAIRS}, "one sensed line at a time"),
-        ({"load_volt": 5.0}, "no current flows"),
-        ({"driven_groups": ((0, 1), (1, 2))}, "driven_groups overlap: line 1"),
-        ({"driven_groups": ROW_PAIRS, "idle_ohm": 100.0}, "idle_ohm has no place"),
-        (
-            {"idle_load_ohm": inf, "idle_load_volt": 1.0},
-            "idle sensed lines keep their load or float",
-        ),
-        ({"load_volt": 5000.0}, "within 1000 V"),
-    ],
-)
-def test_contradictions_are_refused(keys: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        DrivenReadout(**keys)
-
-
-def test_amplifiers_with_currents_of_both_signs_are_refused() -> None:
-    with pytest.raises(InputError, match="currents of both signs"):
-        VirtualGroundReadout(load_volt=2.5)
-
-
-def test_diodes_with_several_potentials_are_refused() -> None:
-    readout = DrivenReadout(idle_ohm=1e3, idle_volt=1.0, load_volt=2.0, diode=Diode())
-    with pytest.raises(InputError, match="diode: circuits with several potentials"):
-        Scene(Panel(*SHAPE), readout)
-
-
-@pytest.mark.parametrize("kind", [DrivenReadout, LoadedColumnsReadout])
-def test_diodes_with_driven_groups_are_refused(kind: Any) -> None:
-    readout = kind(drive_ohm=100.0, driven_groups=((0, 1), (2, 3)), diode=Diode())
-    with pytest.raises(InputError, match="diode: circuits with driven_groups"):
-        Scene(Panel(4, 6), readout)
-
-
-def test_driven_groups_name_every_line() -> None:
-    with pytest.raises(InputError, match=r"readout.driven_groups: row 3 is left out"):
-        Scene(Panel(4, 6), LoadedColumnsReadout(driven_groups=((0, 1), (2,))))
 
 
 SOLVED = {

@@ -223,26 +223,6 @@ def test_a_range_that_is_not_stated_is_told(tmp_path: Path) -> None:
     assert "full_volt" not in read_scene(path).assumed_text
 
 
-@pytest.mark.parametrize(
-    ("converter", "message"),
-    [
-        ("ADS1113", "6:3: readout.converter: must be a mapping or 'esp32', 'avr', 'RP2040'"),
-        ("{name: ADS115}", "not 'ADS115'; did you mean ADS1115"),
-        ("{name: ADS1115, full_volt: 5}", "6:30: readout.converter.full_volt: ADS1115 has the"),
-        ("{name: ADS1115, signed: true}", "ADS1115 states zero_volt, curve and signed"),
-        ("MCP3208\n  adc_bits: 10", "7:3: readout.adc_bits: 10 contradicts the converter MCP3208"),
-    ],
-)
-def test_wrong_names_and_contradictions_are_refused_with_their_line(
-    tmp_path: Path, converter: str, message: str
-) -> None:
-    path = tmp_path / "scene.yaml"
-    path.write_text(NAMED_SCENE.format(converter=converter))
-    with pytest.raises(InputError) as refused:
-        read_scene(path)
-    assert message in str(refused.value).replace(f"{path}:", "")
-
-
 def test_readings_at_the_end_of_a_chips_range_name_it() -> None:
     """Rows of 3.3 V saturate the ±2.048 V of an ADS1115 after power-up."""
     scene = Scene(Panel(4, 4), GroundedReadout(supply_volt=3.3, converter="ADS1115"))
@@ -264,22 +244,6 @@ def test_first_recordings_keep_the_middle_of_their_codes(tmp_path: Path) -> None
     assert circuit.rails() == pytest.approx((STEP, 1023 * STEP))
     Recording.load(path).save(tmp_path / "new.h5")
     assert Recording.load(tmp_path / "new.h5").scene.circuit == circuit
-
-
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"zero_volt": 1.0, "full_volt": 1.0}, "must differ"),
-        ({"zero_volt": 5000.0}, "within 1000 V"),
-        ({"full_volt": "estimated"}, "no frame shows it"),
-        ({"curve": ((0.0, 0.0),)}, "two or more points"),
-        ({"curve": ((0.0, 0.0), (1.0, 5.0), (2.0, 4.0))}, "rise or fall throughout"),
-        ({"curve": ((0.0, 0.0), (1.0, 5.0)), "full_volt": 3.0}, "takes the place"),
-    ],
-)
-def test_contradictions_are_refused(keys: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        Characteristic(**keys)
 
 
 @pytest.mark.slow

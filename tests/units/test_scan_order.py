@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import GroundedReadout, InputError, Panel, Readings, Recording, Scene
+from lampest import GroundedReadout, Panel, Readings, Recording, Scene
 from lampest.panel.readouts.channel_memory import with_memory
 from lampest.panel.readouts.scan_order import by_columns, in_panel_order, in_scan_order
 
@@ -57,19 +57,6 @@ def test_without_a_key_a_scan_goes_along_the_driven_lines() -> None:
     assert not by_columns(GroundedReadout(driven="rows"))
     assert by_columns(GroundedReadout(driven="columns"))
     assert not by_columns(GroundedReadout(driven="columns", scan_order="rows"))
-
-
-@pytest.mark.parametrize(
-    ("order", "message"),
-    [
-        (SNAKE[:-1], r"scan_order: \[2, 3\] is left out"),
-        ((*SNAKE, (0, 0)), r"scan_order: \[0, 0\] is listed twice"),
-        (((9, 0),), r"scan_order: there is no reading \[9, 0\]"),
-    ],
-)
-def test_lists_that_do_not_fit_the_panel_are_refused(order: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        Scene(Panel(*SHAPE), GroundedReadout(scan_order=order))
 
 
 def test_the_order_stays_in_the_file(tmp_path: Any) -> None:

@@ -9,7 +9,6 @@ import pytest
 from lampest import (
     DrivenReadout,
     GroundedReadout,
-    InputError,
     LoadedColumnsReadout,
     Panel,
     Readout,
@@ -19,7 +18,6 @@ from lampest import (
 from lampest.audit.finding import PASTE, Finding, advised_entries, with_addition, with_lines
 from lampest.files.document import in_one_line, parse_document
 from lampest.inference.circuits.alternatives import BY_COLUMNS, Alternative, alternatives_of
-from lampest.panel.scene import validated_scene
 
 KIND = {"readout": {"kind": "grounded", "driven": "rows", "sense": "one", "load_ohm": 2000}}
 SERIES = {"series_resistance_ohm": 2140}
@@ -120,12 +118,6 @@ def test_advice_without_entries_prints_none() -> None:
 def test_texts_in_one_line_read_back_as_such() -> None:
     content = {"a": "1573", "b": "two words", "c": "no", "d": [{"e": 1.5}], "f": 10203.4567}
     assert parse_document(f"{{{in_one_line(content)}}}", "the line").content == content
-
-
-def test_a_key_of_another_kind_is_said_to_be_one() -> None:
-    text = "panel: {rows: 4, columns: 4}\nreadout: {kind: grounded, sense: all, idle_ohm: 3300}"
-    with pytest.raises(InputError, match="no such key of this kind; it is a key of kind: driven"):
-        validated_scene(parse_document(text, "scene.yaml"))
 
 
 def test_square_two_point_panels_have_no_order_by_columns() -> None:
