@@ -12,18 +12,15 @@ from units.test_own_effect import MODULE
 
 from docs.studies.advice import keys_of
 from docs.studies.effects import LOADS, Row, recording
-from lampest import LoadedColumnsReadout, Panel, Recording, Scene, Systematic
+from lampest import Recording, Systematic
 from lampest.audit.advice import named, unnamed_effects
 from lampest.files.document import parse_document
 from lampest.inference.prepared import Prepared
 from lampest.inference.resolve import ENTRIES
 from lampest.panel.effects import shared_effects
-from lampest.panel.panel import Array
 from lampest.recording.simulation import simulate
 from lampest.recording.simulation.file import simulation_of
 
-UNLOADED = 5
-FRAMES = 6
 SIMULATION = """\
 schema: 1
 seed: 3
@@ -92,24 +89,6 @@ def checked(made: Recording) -> set[str]:
     return keys
 
 
-def loaded_columns(seed: int, row: Row) -> Recording:
-    """Return a standing load on loaded columns, with errors of readings, a gain, or creep."""
-    random = np.random.default_rng(seed)
-    resting = 3000 * np.exp(0.1 * random.standard_normal((8, 8)))
-    down, across = np.indices((8, 8)) - 3.2
-    fall = 1.2 / (1 + np.exp((np.hypot(down, across) - 1.8) / 0.15))
-    cells = np.stack([resting] * UNLOADED + [resting * np.exp(row.creep - fall)] * FRAMES)
-    readout = LoadedColumnsReadout(load_ohm=1000.0, adc_bits=12, readings=20, noise_lsb=0.7)
-    scene = Scene(Panel(8, 8), readout)
-    volt = np.stack([readout.exact_reading(each) for each in cells])
-    volt = volt * np.exp(row.static * random.standard_normal((8, 8)))
-    volt = volt * np.exp(row.gain * random.standard_normal((len(volt), 1, 1)))
-    noise = 0.7 * random.standard_normal((20, *volt.shape))
-    steps: Array = np.round(volt / readout.lsb_volt + noise).mean(axis=0)
-    role = (np.arange(len(cells)) >= UNLOADED).astype(np.uint8)
-    return Recording(scene, steps * readout.lsb_volt, np.arange(len(cells)) / 4, role)
-
-
 def test_every_effect_that_advice_may_name_is_compared() -> None:
     shared = {f"systematic.{error.setting}" for error in shared_effects() if error.is_advised}
     others = {key for entry in ENTRIES if not entry.section for key in entry.keys}
@@ -122,19 +101,6 @@ def test_every_effect_that_advice_may_name_is_compared() -> None:
 def test_advice_has_the_number_of_the_estimate(key: str) -> None:
     """A droop of 0.029 +- 0.0002 was advised, and 0.019 +- 0.015 estimated."""
     assert key in checked(RECORDINGS[key]())
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("key", "row"),
-    [
-        ("systematic.reading_error", Row(static=0.02)),
-        ("gain", Row(gain=0.01)),
-        ("creep", Row(creep=0.03)),
-    ],
-)
-def test_advice_on_loaded_columns_has_the_number_of_the_estimate(key: str, row: Row) -> None:
-    assert key in checked(loaded_columns(11, row))
 
 
 @pytest.mark.slow

@@ -7,7 +7,6 @@ import pytest
 
 import lampest
 from docs.studies.held_lines import nodal_volts, random_readout
-from docs.studies.model_check import sound
 from lampest import Array, DrivenReadout, Faults, Misfit, Panel, Recording, Scene
 from lampest.audit.advice import Audit, verdict
 from lampest.audit.health import Health
@@ -150,26 +149,6 @@ def test_random_circuits_have_clear_and_right_panels_or_a_doubt() -> None:
         error = np.median(np.abs(choice.loaded / loaded - 1)[PRESSED])
         assert error < 0.1, (seed, readout)
     assert clear >= 6
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [94013, 94112])
-def test_idle_sensed_lines_fold_the_readings_too(seed: int) -> None:
-    """They pull the driven line to ground; near the fold the right cells are noisy."""
-    drawn = sound(seed, drifts=False)
-    assert drawn is not None
-    choice = Prepared(drawn[1]).panels
-    assert choice is not None and drawn[1].truth_cell_resistance is not None
-    off = np.log(choice.resting / drawn[1].truth_cell_resistance[0])
-    assert abs(np.median(off)) < 0.1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [94145, 96020])
-def test_near_a_fold_errors_of_readings_and_channels_are_not_advised(seed: int) -> None:
-    """Linear theory does not hold there, and another panel may be meant."""
-    drawn = sound(seed, drifts=False)
-    assert drawn is not None and not Audit(Prepared(drawn[1])).advice
 
 
 def test_readings_of_the_study_are_those_of_netlists() -> None:

@@ -7,7 +7,6 @@ import pytest
 from promises import promise
 
 from docs.studies.effects import LOADS, ROWS, Row, figures, recording
-from docs.studies.wrong_readings import drawn, of_load, with_starter
 from lampest import Systematic
 from lampest.audit.advice import unnamed_effects
 from lampest.audit.health import Health
@@ -54,17 +53,6 @@ def test_channels_are_told_beside_errors_of_each_reading() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "place",
-    ["small", *(pytest.param(place, marks=pytest.mark.slow) for place in ("still", "mouth"))],
-)
-def test_a_large_memory_of_the_converter_is_advised(place: str) -> None:
-    """Linear theory with a usual memory expects no gain by five times as much."""
-    remembering = Prepared(recording(4000, LOADS[place], Row(memory=0.16), {}))
-    assert "converter_memory" in {line.partition(":")[0] for line in lines_of(remembering)}
-
-
-@pytest.mark.slow
 @promise("howto/error_bars: With `motion`, bars also hold loads that jitter within a scan.")
 @pytest.mark.parametrize("motion", ["estimated", 1.0])
 def test_bars_hold_a_load_that_jitters_within_a_scan(motion: str | float) -> None:
@@ -87,14 +75,6 @@ def test_bars_hold_a_load_whose_jitter_moves_most_cells() -> None:
 def test_a_load_that_jitters_is_advised_to_be_named() -> None:
     jitter = Prepared(recording(500, LOADS["jitter"], Row(), {}))
     assert "motion: estimated" in {finding.line for finding in unnamed_effects(jitter)}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("word", "seed"), [("two_mux", 6004), ("pull_ups", 6022)])
-def test_the_tail_of_feet_that_stand_is_not_advised_as_motion(word: str, seed: int) -> None:
-    """It resembles a load that jitters; no share of the time between frames explains it."""
-    feet = with_starter(drawn(seed, of_load("feet")), word).recording()
-    assert not unnamed_effects(Prepared(feet))
 
 
 @pytest.mark.long
@@ -180,8 +160,3 @@ def test_a_load_that_jitters_tells_no_memory() -> None:
     assert "converter_memory" not in noise.estimated
     assert "record one that stands" in noise.sentence
     assert noise.frame.memory == KeptShare.prior == 0.03
-
-
-def lines_of(prepared: Prepared) -> set[str]:
-    """The lines that advice on effects suggests."""
-    return {finding.line for finding in unnamed_effects(prepared)}

@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 from promises import promise
 
 import lampest
-from lampest import InputError, LogGradient, Recording, Rod, Stream, TwoPointReadout
+from lampest import InputError, LogGradient, Recording
 from lampest.cost.terms import Misfit, RelativeChange, Term
 from lampest.estimate import batch
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.files.document import parse_document, to_yaml, validated
-from lampest.inference.prepared import Prepared
-from lampest.panel.panel import EachModule, Modules, Panel
+from lampest.panel.panel import EachModule, Modules
 from lampest.panel.readouts.floating import two_point_resistance
 from lampest.panel.scene import Scene
 from lampest.posterior.sampled import SampledMemory
@@ -318,48 +316,3 @@ def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:
     wired = replace(recording.scene, lines=lampest.Lines(row_ohm_per_cell=1.0))
     with pytest.raises(InputError, match="is wired"):
         coupled(replace(recording, scene=wired), lampest.Gradient(weight=1e-6))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "terms", [(Misfit(),), (Misfit(weighting="noise"), LogGradient(weight=0.1))]
-)
-def test_frames_solved_in_blocks_equal_frames_solved_separately(
-    terms: tuple[Term, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rod = Rod(centre_mm=(55, 55), diameter_mm=30, mass_g=500)
-    scene = Scene(Panel(8, 8), TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)
-    recording = simulate(Simulation(1, 4, scene, frames=9, frame_period_s=0.25, loads=(rod,)))
-    recorded = recording.recorded.copy()
-    measured = recording.measured_frames()
-    recorded[measured[3], 2, 3] = np.nan  # such a frame is solved alone, among the others
-    recorded[measured[5]] = np.nan
-    prepared = Prepared(replace(recording, recorded=recorded, raw_sums=None))
-    pushed = list[Stream]()
-    push = Stream.push
-    monkeypatch.setattr(
-        Stream, "push", lambda stream, readings: pushed.append(stream) or push(stream, readings)
-    )
-    estimate = reconstruct(prepared, Estimator(terms, "reduced"))
-    assert len(pushed) == 3  # the first frame, and those that are not read whole
-    stream = first_stream(
-        prepared.recording, prepared.noise.readings, estimate.estimator, prepared.noise
-    )
-    for frame, together in zip(measured, estimate.steps, strict=True):
-        stream, step = stream.push(prepared.noise.readings[int(frame)])
-        assert together.status == step.status
-        # Where a reading is missing, a solve ends within a hundredth of its cell's standard
-        # deviation.
-        tolerance = 1e-3 if frame == measured[3] else 1e-7
-        assert_allclose(together.cell_resistance, step.cell_resistance, rtol=tolerance)
-        if step.bars is None:
-            assert together.bars is None and frame == measured[5]
-            continue
-        for name, expected in vars(step.bars.frame).items():
-            assert_allclose(
-                getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9
-            )
-        assert_allclose(
-            together.bars.change.deviation, step.bars.change.deviation, rtol=10 * tolerance
-        )
-        assert_allclose(together.bars.reading, step.bars.reading, rtol=10 * tolerance)

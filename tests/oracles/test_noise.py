@@ -5,20 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from promises import promise
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from docs.studies.model_check import sound
 from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.apps.recognition.at_rest import touched
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.studies.study import read_settings
 from lampest.audit.advice import unnamed_effects
 from lampest.estimate.sequence import reconstruct
-from lampest.files.levels import DOUBTFUL_GAIN, NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
-from lampest.inference.cells_fit import CellsFit, fitted
+from lampest.files.levels import NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
+from lampest.inference.cells_fit import CellsFit
 from lampest.inference.circuits.explanation import noise_factor
 from lampest.inference.effects import static_errors
 from lampest.inference.prepared import Prepared
@@ -445,46 +443,6 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     assert scans[1:] == [11, len(READING_ERRORS), len(READING_ERRORS)]
 
 
-def test_an_uneven_unloaded_panel_is_no_sign_of_channels_that_differ() -> None:
-    """The cells of the second panel have 72 ohm to 10 kilohm."""
-    panel = Scene(Panel(16, 16), TwoPointReadout(adc_bits=12, readings=20))
-    drawn = sound(94000)
-    assert drawn is not None
-    for recording in (simulate(Simulation(1, 2, panel, baseline_frames=6, frames=2)), drawn[1]):
-        resting = Prepared(recording).noise.readings[recording.role == 0].mean()
-        fit = fitted(recording.scene, resting, patient=True)
-        costs = unloaded_costs(recording.scene, resting, fit, np.zeros(1), (0.0, 24.0))
-        assert costs[1, 0] > costs[0, 0] - DOUBTFUL_GAIN
-
-
-@pytest.mark.slow
-def test_a_spread_of_channels_that_any_larger_one_explains_is_not_advised() -> None:
-    """The converter's 8 bits leave cells of a third more or less; no channels differ."""
-    drawn = sound(94030)
-    assert drawn is not None and not lines_of(drawn[1])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [94002, 94147])
-def test_cells_that_differ_by_a_factor_of_ten_are_no_errors_of_readings(seed: int) -> None:
-    """About cells that are likeliest beside another error, linear theory finds one."""
-    drawn = sound(seed)
-    assert drawn is not None and STATIC_LINE not in lines_of(drawn[1])
-
-
-@pytest.mark.slow
-def test_codes_without_noise_show_no_ripple() -> None:
-    """In each frame some ten of 216 readings have another code than in the first one."""
-    drawn = sound(94026)
-    assert drawn is not None and not lines_of(drawn[1])
-
-
-def test_noise_below_the_rounding_is_not_said_to_be_another_one() -> None:
-    """0.017 LSB in place of 0.03 change no sigma."""
-    drawn = sound(94120, drifts=False)
-    assert drawn is not None and Prepared(drawn[1]).noise.sentence == ""
-
-
 def lines_of(recording: Recording) -> set[str]:
     """The lines that advice on effects suggests."""
     return {finding.line for finding in unnamed_effects(Prepared(recording))}
@@ -500,44 +458,6 @@ def test_a_specified_static_error_holds_and_none_is_invented() -> None:
         ]
         assert size < ABSENT
         assert not unnamed_effects(Prepared(recorded(seed, scene_of(0.7))))
-
-
-def breathing(
-    seed: int,
-    covered: NDArray[np.bool_],
-    pressure: float,
-    frames: int = 15,
-    systematic: Systematic | None = None,
-) -> Recording:
-    """Return a recording, scanned in no time, of a breathing load on the covered cells."""
-    rng = np.random.default_rng(seed)
-    load = pressure * (1 + 0.1 * np.sin(2.1 * np.arange(frames) + rng.uniform(0, 6)))
-    unloaded = np.repeat(3050 * np.exp(0.2 * rng.standard_normal((1, 10, 10))), frames + 5, axis=0)
-    cells = unloaded.copy()
-    cells[5:] *= np.exp(-0.2 * load[:, None, None] * covered)
-    exact = 5000 / (two_point_resistance(cells) + 1140)
-    code = exact * 1023 / 5 + 0.7 * rng.standard_normal((20, *exact.shape))
-    volt = np.clip(np.round(code), 0, 1023).mean(axis=0) * 5 / 1023
-    scene = Scene(
-        Panel(10, 10), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0, systematic=systematic
-    )
-    return recording_of(scene, (5 - volt) / volt * 1000, 5, truth_cell_resistance=cells)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
-def test_breathing_loads_are_not_taken_for_outliers_motion_or_static_errors(seed: int) -> None:
-    """A hand whose edge presses ever less, a panel half covered, and a mouth whose inside sucks."""
-    down, across = np.indices((10, 10)) - 4.5
-    distance = np.hypot(down, across)
-    loads = (
-        np.exp(-((distance / 3) ** 2)),
-        across < 0,
-        np.exp(-((distance - 1.7) ** 2) / 0.3) - 0.8 * (distance < 1.2),
-    )
-    for covered in loads:
-        prepared = Prepared(breathing(seed, covered, 4.0))
-        assert prepared.noise.sentence == "" and unnamed_effects(prepared) == ()
 
 
 @pytest.mark.slow

@@ -9,13 +9,11 @@ from laws.recognised import every_frame, known_before
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from docs.studies.wrong_readings import drawn, of_load, with_starter
 from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPointReadout, simulate
 from lampest.apps.recognition.detect.detection import Known, known_of
 from lampest.apps.studies.study import read_settings
 from lampest.audit.advice import unnamed_effects
 from lampest.files.levels import UNUSUAL
-from lampest.inference.effects.converter_ends import saturated
 from lampest.inference.prepared import Prepared
 from lampest.panel.panel import EachModule, Modules
 from tests.estimates import recording_of
@@ -180,54 +178,3 @@ def test_the_edge_of_a_large_load_is_not_taken_for_a_contact() -> None:
         Simulation(1, 9125, scene, Cells(spread=0.085013), loads=(block,), **times)
     )
     assert Prepared(recording).effects.name == ""
-
-
-@pytest.mark.slow
-def test_differing_channels_under_a_mouth_are_not_taken_for_a_contact() -> None:
-    """Channels of 3 ohm shift the cells of a rim, as low as 100 ohm, by several percent."""
-    for mouth in ("lamprey_25mm", "lamprey_35mm"):
-        assert not [
-            line
-            for line in Prepared(lampest.datasets.load(mouth)).warnings
-            if "in one frame" not in line
-        ]
-
-
-def equal_loads(word: str, load: str, seed: int, scatter: float = 0.0) -> Recording:
-    """Return equal loads on a film of little scatter, by a starter's circuit."""
-    plan = drawn(seed, of_load(load))
-    random = np.random.default_rng([seed, 5])
-    level = float(np.exp(np.mean(np.log(plan.cells))))
-    alike = level * np.exp(scatter * random.standard_normal(plan.cells.shape))
-    return with_starter(replace(plan, cells=alike), word).recording()
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [910, 919, 928])
-def test_equal_loads_on_cells_that_are_alike_are_no_saturated_stage(seed: int) -> None:
-    words = {910: "parallel_mux", 919: "pull_ups", 928: "pull_downs_on_columns"}
-    assert saturated(equal_loads(words[seed], "keys", seed)) is None
-
-
-def test_differences_that_a_load_makes_small_are_no_saturated_stage() -> None:
-    """Where a pull-up has little on a pressed cell, 5 % of its resistance are two steps."""
-    assert saturated(equal_loads("feedback", "keys", 7091, scatter=0.05)) is None
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("load", "seed"), [("keys", 7100), ("places", 7105)])
-def test_a_voltage_that_others_exceed_is_no_limit(load: str, seed: int) -> None:
-    """Cells of a film without scatter stand at one voltage; those of another group, beyond it."""
-    assert saturated(equal_loads("driven_mux", load, seed)) is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [7002, 12005])
-def test_a_bar_over_a_whole_line_is_no_contact_with_less_resistance(seed: int) -> None:
-    sweep = with_starter(drawn(seed, of_load("sweep")), "two_mux").recording()
-    assert Prepared(sweep).effects.name == ""
-
-
-@pytest.mark.slow
-def test_the_second_order_of_coarse_readings_is_no_creep() -> None:
-    assert not unnamed_effects(Prepared(equal_loads("two_mux", "keys", 901)))

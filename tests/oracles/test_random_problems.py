@@ -8,31 +8,25 @@ from promises import promise
 
 from lampest import (
     Array,
-    Course,
     Estimator,
     GroundedReadout,
     LoadedColumnsReadout,
-    OralDisc,
     Panel,
     Readings,
     Scene,
     Solution,
     Stream,
-    Unmodelled,
     VirtualGroundReadout,
-    Water,
 )
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Loss, Squared, Student
 from lampest.cost.problem import Data
 from lampest.cost.terms import Gradient, Misfit, Term, term_types
-from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.readouts import TwoPointReadout
-from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import Settings, Status
+from lampest.solvers.solution import Status
 from tests.least_cost import LeastCost, Penalty
 from tests.random_problem import RandomProblem, shape_of
 
@@ -212,38 +206,6 @@ def test_cells_that_heavy_losses_hold_at_one_bound_are_verified(
     solution = estimator.method.solution(solver, data, None, None)
     assert solution.optimum and solution.kkt_residual < MAX_KKT
     np.testing.assert_allclose(solution.cell_resistance, measured.max(), rtol=EQUAL)
-
-
-@pytest.mark.slow
-def test_more_starts_find_the_lower_of_two_minima() -> None:
-    """It was 0.4 to 0.7 % above the lower under a mouth with channels that the scene omits."""
-    scene = Scene(Panel(10, 10), TwoPointReadout(), water=Water(50))
-    disc = OralDisc(
-        centre_mm=(44, 46), diameter_mm=25, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90, tilt=0.25
-    )
-    course = Course(
-        start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1
-    )
-    plain = Simulation(
-        1, 77, scene, Cells(resistance_ohm=3050, spread=0.2, patch_mm=6), 3, 21, loads=(disc,)
-    )
-    recording = simulate(
-        replace(plain, course=course, unmodelled=Unmodelled(series_resistance_ohm=20))
-    )
-    estimator = Estimator(
-        (Misfit(), Gradient(weight=1e-3)), "reduced", solver=Settings(starts=9), error_bars=False
-    )
-    readings = recording.readings()
-    random = np.random.default_rng(0)
-    stream = first_stream(recording, readings, estimator)
-    for frame in recording.measured_frames():
-        data, _ = stream.data_and_start(readings[frame])
-        stream, step = stream.push(readings[frame])
-        if frame in (8, 9, 15, 23):
-            oracle = LeastCost.of(data, Penalty("misfit", 1.0), Penalty("gradient", 1e-3))
-            starts = np.log(data.measured).ravel() + random.uniform(0, np.log(60), (6, 100))
-            least = min(oracle.value(oracle.minimised(start, 40)) for start in starts)
-            assert oracle.value(np.log(step.cell_resistance).ravel()) <= least * (1 + MAX_EXCESS)
 
 
 def solution_of_a_skin(kind: str, *terms: Term) -> Solution:

@@ -66,12 +66,6 @@ def test_bars_of_cells_that_an_absolute_loss_holds_are_as_wide_as_their_errors(l
     assert LEAST_RATIO < ratio < MOST_RATIO
 
 
-@pytest.mark.slow
-def test_bars_of_plateaus_are_as_wide_as_their_errors() -> None:
-    ratio = ratio_of_bars("small", 731, lampest.TotalVariationOfChange())
-    assert LEAST_RATIO < ratio < MOST_RATIO
-
-
 def test_bars_are_those_of_settled_sites(monkeypatch: pytest.MonkeyPatch) -> None:
     rod = lampest.Rod(centre_mm=(40, 45), diameter_mm=25, mass_g=300)
     scene = lampest.Scene(lampest.Panel(10, 10), lampest.TwoPointReadout(readings=20), 140.0)

@@ -1,6 +1,5 @@
 """A run checks the circuit of a recording once, after its estimates, and keeps the outcome."""
 
-import json
 import shutil
 import subprocess
 import sys
@@ -92,25 +91,6 @@ def test_a_recording_that_has_not_changed_is_not_checked_again(
     assert {case.warnings for case in after} == {before.warnings}
     run(folder, fresh=True)
     assert checked == ["mine", "mine"]
-
-
-@pytest.mark.slow
-def test_a_recording_that_has_changed_and_a_damaged_check_are_checked_again(
-    folder: Path, checked: list[str]
-) -> None:
-    run(folder)
-    [check_file] = (folder / "out" / "cases").glob("*.check.json")
-    for text in ("", "[]", "{}", json.dumps(json.loads(check_file.read_text()) | {"mark": 1})):
-        check_file.write_text(text)
-        (folder / f"mine{BESIDE}").write_text(text)
-        run(folder)
-    assert checked == ["mine"] * 5
-    recording = lampest.Recording.load(folder / "mine.h5")
-    changed = recording.recorded.copy()
-    changed[0] *= 1.001
-    replace(recording, recorded=changed).save(folder / "mine.h5")
-    run(folder)
-    assert checked == ["mine"] * 6
 
 
 def test_checks_come_after_all_estimates_and_count_as_a_step_of_their_own(

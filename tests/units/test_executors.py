@@ -24,7 +24,7 @@ from promises import promise
 
 from lampest import CaseResult, InputError, read_results
 from lampest.files import process
-from lampest.runs import batch, executors
+from lampest.runs import executors
 from lampest.runs.batch import run_batch
 from lampest.runs.checks import CheckTask
 from lampest.runs.config import json_schema, read_run
@@ -299,28 +299,6 @@ def test_an_executor_changes_no_case_id(disk: SimpleNamespace) -> None:
         for text in ("", "executor: {kind: serial}\n", "executor: {kind: processes, workers: 3}\n")
     }
     assert len(ids) == 1 and "executor" in json_schema()["properties"]
-
-
-@pytest.mark.slow
-def test_frames_are_counted_while_cases_are_solved(
-    disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(batch, "EVERY_SECONDS", 1e-4)
-    progress: list[tuple[int, int]] = []
-    run = read_run(disk.folder / "run.yaml")
-    run_batch(
-        run,
-        disk.folder / "out",
-        Serial(),
-        on_frames=lambda *frames, left_s: progress.append(frames),
-    )
-    frames = sum(case.frames for case in run.cases)
-    assert (
-        progress[-1] == (frames, frames)
-        and progress == sorted(progress)
-        and {total for _, total in progress} == {frames}
-    )
-    assert not list((disk.folder / "out" / "cases").glob(".*")), "what counts them is removed"
 
 
 @pytest.fixture(scope="module")

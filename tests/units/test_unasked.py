@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 import lampest
-from docs.studies.model_check import sound
-from lampest.audit.advice import unnamed_effects
 from lampest.cost.given import Background
-from lampest.inference.effects.converter_ends import saturated, with_saturated_stage
+from lampest.inference.effects.converter_ends import with_saturated_stage
 from lampest.inference.effects.converter_memory import memory_gain
 from lampest.inference.prepared import Prepared
 from lampest.solvers.multistart import evaluated
@@ -42,20 +40,6 @@ def test_a_stage_that_is_not_estimated_leaves_the_recording_as_it_is(
     readout = replace(scene.circuit, passes_volt="estimated")
     requested = replace(grounded, scene=replace(scene, readout=readout))
     assert with_saturated_stage(requested).scene.circuit.passes_volt is None
-
-
-@pytest.mark.parametrize("seed", [90026, 93008])
-def test_small_readings_of_dissimilar_cells_are_no_saturated_stage(seed: int) -> None:
-    """They crowd near zero, and within the noise of the converter's own end."""
-    drawn = sound(seed)
-    assert drawn is not None and saturated(drawn[1]) is None
-
-
-@pytest.mark.slow
-def test_cells_that_are_unlike_are_no_errors_of_readings() -> None:
-    """Cells that scatter by a factor of e were taken for readings that are off by 20 +- 1 %."""
-    drawn = sound(93044, drifts=False)
-    assert drawn is not None and unnamed_effects(Prepared(drawn[1])) == ()
 
 
 def test_readings_without_a_converter_show_no_memory() -> None:
