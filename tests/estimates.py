@@ -1,9 +1,11 @@
 """Recordings of given readings, and how far their estimates are from the truth."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest import Array, Estimates, Recording, Scene
+from lampest import Array, Estimates, Misfit, Recording, Scene, reconstruct
 
 
 def recording_of(scene: Scene, recorded: Array, unloaded: int = 0, **fields: object) -> Recording:
@@ -33,3 +35,13 @@ def rms(values: object) -> float:
 def scores(estimate: Estimates) -> Array:
     """Errors of log r in their standard deviations, (frames, rows, columns)."""
     return log_errors(estimate) / (estimate.cell_resistance_errors / estimate.cell_resistance)
+
+
+def share_in_bars(recordings: Iterable[Recording]) -> float:
+    """Share of the true cells within 95 % bars of least squares."""
+    within = []
+    for recording in recordings:
+        found = reconstruct(recording, [Misfit(weighting="noise")])
+        truth = recording.truth_cell_resistance[recording.role == 1]
+        within.append(np.abs(found.cell_resistance - truth) < 1.96 * found.cell_resistance_errors)
+    return float(np.mean(within))

@@ -9,7 +9,6 @@ import numpy as np
 
 from lampest import (
     Array,
-    DrivenReadout,
     Lines,
     LoadedColumnsReadout,
     Scene,
@@ -283,39 +282,6 @@ def load_of(
 
 def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
     """Return drives, panel, channels and loads of a readout in volt, for one pair of lines."""
-    lines, sense_lines = (range(count) for count in matrix.shape)
-    states = (
-        isinstance(readout, DrivenReadout)
-        or getattr(readout, "idle_load_ohm", None) is not None
-        or getattr(readout, "groups", None) is not None
-        or getattr(readout, "driven_groups", None) is not None
-        or has_potentials(readout)
-    )
-    if states:
-        return network_of_states(matrix, readout, driven, sensed)
-    floating = isinstance(readout, LoadedColumnsReadout)
-    drive = per_line(readout.drive_ohm, len(lines))
-    network = cells_between(matrix)
-    network += [
-        (("d", line), "high" if line == driven else "low", drive[line])
-        for line in lines
-        if line == driven or not floating
-    ]
-    channels = (
-        (0.0,) * len(sense_lines)
-        if floating
-        else per_line(getattr(readout, "sense_ohm", 0.0), len(sense_lines))
-    )
-    if isinstance(readout, VirtualGroundReadout):
-        return [*network, *((("s", line), "low", channels[line]) for line in sense_lines)]
-    loads = per_line(readout.load_ohm, len(sense_lines))
-    for line in [sensed] if getattr(readout, "sense", "all") == "one" else sense_lines:
-        network += load_of(line, channels[line], loads[line], getattr(readout, "input_ohm", None))
-    return network
-
-
-def network_of_states(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
-    """Return the netlist of a circuit that specifies its idle lines, with multiplexers or not."""
     count, sense_count = matrix.shape
     drive = per_line(readout.drive_ohm, count)
     idle = per_line(

@@ -115,12 +115,12 @@ class Plan:
             [np.repeat(self.cells[None], self.unloaded, axis=0), np.array(frames)]
         )
 
-    def volts(self, scene: Scene | None = None) -> Array:
-        """Exact voltages at the converter, (frames, rows, columns), of this or another scene."""
+    def volts(self, scene: Scene | None = None, cells: Array | None = None) -> Array:
+        """Exact voltages, (frames, rows, columns), of this or another scene, and of other cells."""
         actual = scene or self.scene
-        cells = self.loaded()
         circuit = actual.circuit
-        recorded = circuit.to_recorded(circuit.exact_reading(cells, actual.wiring), actual)
+        exact = circuit.exact_reading(self.loaded() if cells is None else cells, actual.wiring)
+        recorded = circuit.to_recorded(exact, actual)
         return np.asarray(self.scene.circuit.volt_from_recorded(recorded))
 
     def recording(self, volts: Array | None = None, scene: Scene | None = None) -> Recording:

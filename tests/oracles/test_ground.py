@@ -11,7 +11,7 @@ from lampest.inference.prepared import Prepared
 from lampest.panel.effects.ground import SharedGround
 from lampest.panel.effects.line_effect import effect_on_readings
 from lampest.recording.simulation.measure import Unmodelled, measured
-from tests.netlist import potentials
+from tests.netlist import network_of, potentials
 
 GROUND_OHM = 8.0
 SHAPE = (7, 6)
@@ -33,22 +33,16 @@ def netlist(cells: np.ndarray, circuit: lampest.Readout, ground_ohm: float) -> n
     """Return the recorded voltages of cells (rows, columns) ohm."""
     by_rows = circuit.driven == "rows"
     cells = cells if by_rows else cells.T
-    down = getattr(circuit, "polarity", "up") == "down"
-    idle_ohm = getattr(circuit, "idle_ohm", circuit.drive_ohm)
-    one = getattr(circuit, "sense", "all") == "one"
-    source, end = (0.0, 5.0) if down else (5.0, 0.0)
+    low = 5.0 if getattr(circuit, "polarity", "up") == "down" else 0.0
     volts = np.zeros(cells.shape)
-    for (line, read), _ in np.ndenumerate(cells):
-        parts = [(("d", j), ("s", k), ohm) for (j, k), ohm in np.ndenumerate(cells)]
-        parts += [
-            (("d", j), "source", circuit.drive_ohm) if j == line else (("d", j), "shared", idle_ohm)
-            for j in range(len(cells))
+    for line, read in np.ndindex(cells.shape):
+        parts = [
+            (node, "shared" if node[0] == "d" and end == "low" else end, ohm)
+            for node, end, ohm in network_of(cells, circuit, line, read)
         ]
-        loaded = [read] if one else range(cells.shape[1])
-        parts += [(("s", k), "end", circuit.load_ohm) for k in loaded]
-        parts += [("shared", "end", ground_ohm)] if ground_ohm else []
-        held = {"source": source, "end": end} | ({} if ground_ohm else {"shared": end})
-        volts[line, read] = potentials(parts, held)["s", read]
+        parts += [("shared", "low", ground_ohm)]
+        held = {"high": 5.0 - low, "low": low}
+        volts[line, read] = potentials(parts, held)["load", read]
     return volts if by_rows else volts.T
 
 

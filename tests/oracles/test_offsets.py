@@ -9,6 +9,7 @@ from scipy.stats import norm
 import lampest
 from lampest.inference.prepared import Prepared
 from lampest.panel.effects.offsets import AmplifierOffsets
+from tests.estimates import share_in_bars
 
 SHAPE = (5, 6)
 SPREAD_VOLT = 0.002  # the prior of an estimated one
@@ -44,29 +45,23 @@ def recording(circuit: lampest.Readout, seed: int, size: float | str | None) -> 
     return replace(made, sigma=np.full(SHAPE, NOISE_VOLT), truth_cell_resistance=truth)
 
 
-def share_in_bars(circuit: lampest.Readout, size: float | str | None) -> float:
-    """Return the share of cells within 95 % bars."""
-    within = []
-    for seed in range(4):
-        made = recording(circuit, seed, size)
-        found = lampest.reconstruct(made, [lampest.Misfit(weighting="noise")])
-        error = found.cell_resistance - made.truth_cell_resistance[made.role == 1]
-        within.append(np.abs(error) < 1.96 * found.cell_resistance_errors)
-    return float(np.mean(within))
+def share(name: str, size: float | str | None) -> float:
+    """Return the share of cells within their bars over four recordings."""
+    return share_in_bars(recording(CIRCUITS[name], seed, size) for seed in range(4))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", CIRCUITS)
 def test_bars_hold_offsets_where_the_scene_says_so(name: str) -> None:
-    assert share_in_bars(CIRCUITS[name], SPREAD_VOLT) > MIN_WITHIN
-    assert share_in_bars(CIRCUITS[name], None) < MAX_UNNAMED
+    assert share(name, SPREAD_VOLT) > MIN_WITHIN
+    assert share(name, None) < MAX_UNNAMED
 
 
 def test_offsets_that_readings_do_not_show_have_a_sentence_and_their_prior() -> None:
     noise = Prepared(recording(CIRCUITS["virtual grounds"], 1, "estimated")).noise
     assert "systematic.offset_spread_volt" not in noise.estimated
     assert any("short the inputs and read the codes" in each for each in noise.warnings)
-    assert share_in_bars(CIRCUITS["virtual grounds"], "estimated") > MIN_WITHIN
+    assert share("virtual grounds", "estimated") > MIN_WITHIN
 
 
 def test_other_circuits_have_no_amplifiers() -> None:

@@ -12,7 +12,6 @@ from docs.studies.wrong_readings import drawn, of_load
 from lampest.files.errors import InputError
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.judge import Cleaned
-from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from tests.panels import READOUTS, Plan, recorded
 
@@ -25,12 +24,6 @@ SIZES = (0.7, 2.3)  # of a tap, in ln r
 class Tapped(Plan):
     """A plan without a load, whose cells change in single frames."""
 
-    def volts_of(self, cells: Array) -> Array:
-        """Return exact voltages of cells (frames, rows, columns) ohm."""
-        circuit = self.scene.circuit
-        exact = circuit.exact_reading(cells, self.scene.wiring)
-        return np.asarray(circuit.volt_from_recorded(circuit.to_recorded(exact, self.scene)))
-
     def place(self) -> tuple[int, int, int]:
         """Return a measured frame that is neither the first nor the last, a row and a column."""
         rng = np.random.default_rng([self.seed, 3])
@@ -42,7 +35,7 @@ class Tapped(Plan):
         """Return a recording in which one cell is pressed in one frame."""
         cells = self.loaded()
         cells[self.place()] *= np.exp(-np.random.default_rng(self.seed).uniform(*SIZES))
-        return self.recording(self.volts_of(cells))
+        return self.recording(self.volts(cells=cells))
 
     def with_error(self) -> Recording:
         """Return a recording in which one reading of one frame is wrong by a fifth of the range."""
@@ -204,4 +197,4 @@ def test_the_only_unloaded_frame_is_not_judged_against_loaded_ones() -> None:
         tapped = Tapped(**vars(plan))
         loads = np.exp(-np.random.default_rng(seed).uniform(1, 3, (8, *plan.cells.shape)))
         cells = plan.cells * np.concatenate([np.ones((1, *plan.cells.shape)), loads])
-        assert not Cleaned.of(tapped.recording(tapped.volts_of(cells))).garbled
+        assert not Cleaned.of(tapped.recording(tapped.volts(cells=cells))).garbled
