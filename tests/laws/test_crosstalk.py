@@ -89,7 +89,6 @@ def test_an_open_cell_would_change_no_reading_by_more_than_its_noise_if_it_were_
 
 
 def test_the_misfit_alone_has_no_bias_and_a_penalty_has() -> None:
-    """In the mean over 60 frames of little noise."""
     rng = np.random.default_rng(5)
     readout = TwoPointReadout(adc_bits=16, noise_lsb=1.0)
     cells = random_cells((4, 4), spread=0.5)

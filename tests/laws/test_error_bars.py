@@ -121,7 +121,6 @@ def certainty_of(rng: np.random.Generator, shape: tuple[int, ...]) -> Certainty:
 
 @pytest.mark.parametrize("shape", [(1, 2, 3), (3, 4, 4)])
 def test_further_independent_errors_add_up_in_any_order(shape: tuple[int, ...]) -> None:
-    """In quadrature, and without them nothing changes."""
     rng = np.random.default_rng(shape)
     certainty = certainty_of(rng, shape)
     first, second = (rng.standard_normal((np.prod(shape), count)) for count in (1, 4))

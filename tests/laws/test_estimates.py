@@ -57,7 +57,6 @@ def evaluation_at(cost: Cost, cells: Array, *maps: Array) -> Evaluation:
 def test_costs_of_a_mirrored_panel_are_equal(
     term: type[Term], words: dict[str, Any], mirror: Any, shape: tuple[int, int]
 ) -> None:
-    """The cost of a term with every loss; its gradients are mirrored."""
     cells = random_cells((1, *shape), 1)
     maps = [
         random_cells((1, *shape), 2),

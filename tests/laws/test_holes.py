@@ -77,7 +77,6 @@ def test_the_optimum_with_a_penalty_uses_only_the_present_readings() -> None:
 def test_single_holes_leave_every_frame_an_estimate(
     readout: object, formulation: MethodName
 ) -> None:
-    """Flags and counts name the missing readings in every method."""
     scene = Scene(Panel(*SHAPE), readout)
     try:
         terms = ROBUST if formulation == "smoother" else (Misfit(),)

@@ -104,7 +104,6 @@ def test_readings_do_not_depend_on_the_order_of_lines(readout: Any, shape: tuple
 @every_shape
 @every_readout
 def test_rows_and_columns_are_exchangeable(readout: Any, shape: tuple[int, int]) -> None:
-    """Cells Rᵀ with columns driven are read as R with rows driven."""
     exchanged = (
         replace(readout, driven="columns" if readout.driven == "rows" else "rows")
         if hasattr(readout, "driven")
@@ -117,7 +116,6 @@ def test_rows_and_columns_are_exchangeable(readout: Any, shape: tuple[int, int])
 @every_shape
 @every_readout
 def test_readings_move_one_way_with_every_cell(readout: Any, shape: tuple[int, int]) -> None:
-    """The response of each reading to its own cell has one sign for all readings of a circuit."""
     cells = random_cells(shape)
     own = readout.network(cells, readout.ties(cells), None).own_response()
     assert np.all(own != 0) and len(np.unique(np.sign(own))) == 1
@@ -141,7 +139,6 @@ def test_shorts_keep_their_digits_where_lines_are_held() -> None:
 
 @pytest.mark.parametrize("modules", [(1, 1), (2, 1), (1, 3)])
 def test_an_image_of_modules_has_the_readings_of_each(modules: tuple[int, int]) -> None:
-    """Readings, derivatives and responses to wire, for all modules at once and one by one."""
     layout = Modules(*modules, EachModule(3, 4))
     readout = ModulesReadout(layout=layout)
     cells = 3000 * np.exp(np.random.default_rng(5).standard_normal(layout.shape))
@@ -183,7 +180,6 @@ def test_an_image_of_modules_has_the_readings_of_each(modules: tuple[int, int]) 
     ids=["driven", "sensed", "both"],
 )
 def test_addresses_of_multiplexers_are_one_network(ends: Any, groups: Any) -> None:
-    """Readings and derivatives of all addresses at once are those of each address alone."""
     readout = DrivenReadout(
         **{"drive_ohm": 95.0, "load_ohm": 1e4, "idle_load_ohm": np.inf, **ends, **groups}
     )

@@ -50,7 +50,6 @@ def test_a_cell_at_no_crossing_is_refused(crossing: tuple[int, int]) -> None:
 @pytest.mark.parametrize("outline", OUTLINES)
 @pytest.mark.parametrize("formulation", ["reduced", "nodal"])
 def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> None:
-    """Without noise as many readings as cells determine every cell."""
     panel, cells = random_panel(outline, 1)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     estimate = estimate_of(panel, readings[None], lampest.Misfit(), formulation=formulation)
@@ -98,7 +97,6 @@ def test_neighbours_in_space_are_those_of_the_plane_that_they_lie_on() -> None:
 
 
 def test_neighbours_in_space_have_no_cell_in_the_sphere_between_them() -> None:
-    """Every pair of cells on a bent sheet, by the definition."""
     rng = np.random.default_rng(5)
     places = rng.uniform(0, 30, (16, 3))
     cells = tuple((*divmod(number, 4), *place) for number, place in enumerate(places.tolist()))
@@ -146,7 +144,6 @@ def test_cells_of_a_rotated_lattice_have_four_neighbours_despite_rounding() -> N
 
 
 def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
-    """The same neighbours and the same estimate, whether cells are listed or not."""
     plain = Panel(3, 4, 8.0)
     listed = replace(
         plain, cells=tuple((j, k, 8.0 * k, 8.0 * j) for j in range(3) for k in range(4))
@@ -172,7 +169,6 @@ def test_a_listed_rectangle_equals_the_plain_rectangle() -> None:
     [pytest.param(name, marks=[pytest.mark.slow] * (name == "ring")) for name in OUTLINES],
 )
 def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
-    """With log_gradient the cell of a missing reading is estimated, and even cells stay even."""
     panel, _ = random_panel(outline, 4)
     readings = np.where(
         panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan
@@ -185,7 +181,6 @@ def test_an_unread_cell_follows_its_neighbours(outline: str) -> None:
 
 
 def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
-    """With that reading a cell whose own reading is missing is determined exactly."""
     panel, cells = random_panel("foot", 5)
     readings = exact_two_point_resistance(cells)
     row, column = np.argwhere(panel.present)[0]
@@ -203,7 +198,6 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
 @promise("howto/outlines: They are not estimated, and their resistance in results is NaN.")
 @pytest.mark.parametrize("outline", ["glove", "ring"])
 def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_path: Path) -> None:
-    """Results are written, read and drawn; an absent crossing has no number."""
     panel, cells = random_panel(outline, 7)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     estimate = estimate_of(
@@ -222,7 +216,6 @@ def test_results_and_pictures_have_the_outline_of_the_panel(outline: str, tmp_pa
 
 @pytest.mark.slow
 def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path) -> None:
-    """A load on a finger of the hand is estimated there, not where lines cross on a rectangle."""
     panel = OUTLINES["hand"](np.random.default_rng(1))
     rod = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200)
     cells = Cells(3000, 0.1, 6)

@@ -236,7 +236,6 @@ def test_the_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None
 
 @every_scene
 def test_the_sensitivity_is_the_matrix_of_both_products(scene: Scene) -> None:
-    """J·p, Jᵀ·w, the diagonal of J, and the rows of J that belong to some of the readings."""
     network = network_of(scene, cells_of(scene))
     sensitivity = network.sensitivity()
     step, weights = np.random.default_rng(4).normal(size=(2, *scene.panel.shape))
@@ -256,7 +255,6 @@ def test_the_sensitivity_is_the_matrix_of_both_products(scene: Scene) -> None:
 
 @pytest.mark.parametrize("scene", [made for made in SCENES if made.values[0].contacts is not None])
 def test_the_response_to_contacts_is_the_derivative(scene: Scene) -> None:
-    """∂y/∂c by central differences of a tenth of an ohm, of every line alone."""
     readout = scene.circuit
     logarithm = cells_of(scene)
     shape = scene.panel.shape
@@ -321,7 +319,6 @@ def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
 
 @pytest.mark.parametrize("across", ["reference", "sensor"])
 def test_channels_of_a_simulation_are_those_of_a_scene(across: str) -> None:
-    """The input of a converter lies beside the channels, as beside the cells."""
     readout = TwoPointReadout(measured_across=across, input_ohm=20_000.0)
     rows, columns = np.array([100.0, 150.0]), np.array([30.0, 0.0, 60.0])
     scene = Scene(Panel(2, 3), readout)
@@ -384,7 +381,6 @@ def test_a_voltage_that_noise_makes_negative_is_an_upper_bound() -> None:
 
 @every_scene
 def test_readings_grow_with_all_cells_where_the_kind_is_homogeneous(scene: Scene) -> None:
-    """Readings grow with all cells by one factor exactly where the kind says so."""
     readout = scene.circuit
     logarithm = cells_of(scene)
     single, triple = (readout.exact_reading(factor * np.exp(logarithm)) for factor in (1, 3))

@@ -56,7 +56,6 @@ def test_an_own_response_falls_strictly_from_1_and_is_inverted(response: Respons
 
 @EACH_RESPONSE
 def test_pressures_pass_through_the_curve_and_gains_of_the_scene(response: Response) -> None:
-    """The pressure of each cell equals the applied one, with and without water and a film."""
     gain = ((0.7, 1.0, 1.3), (1.1, 0.9, 1.0))
     own = replace(response, gain=gain, gain_sd=None)
     pressure = np.linspace(0.1, 0.9, 7)[:, None, None] * own.told_kpa[1] * np.ones((2, 3))

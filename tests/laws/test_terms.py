@@ -202,7 +202,6 @@ def test_the_gradient_is_the_derivative_of_the_cost(terms: tuple[Term, ...], fra
 def test_the_hessian_is_the_derivative_of_the_gradient(
     terms: tuple[Term, ...], formulation: str, frames: int
 ) -> None:
-    """The program's Hessian of its Lagrangian against central differences."""
     program = Program.build(
         Cost(PANEL, terms, frames),
         TwoPointReadout(),

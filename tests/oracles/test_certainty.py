@@ -137,7 +137,6 @@ def test_absolute_losses_leave_a_degree_of_freedom_for_each_plateau(term: Term) 
 
 
 def test_a_cell_at_a_bound_is_released_separately() -> None:
-    """Each cell that a penalty holds at its lower bound has the variance of a free one."""
     measured = two_point_resistance(panel_cells())
     sigma = 0.003 * measured
     weight = 0.1

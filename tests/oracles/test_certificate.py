@@ -157,7 +157,6 @@ def test_estimates_of_extreme_panels_meet_every_reading(name: str, formulation: 
 def test_verified_estimates_meet_the_readings_of_shorts(
     kind: str, short: str, ohm: float, formulation: str
 ) -> None:
-    """Where the digits end, the status is another one."""
     cells = USUAL_CELLS.copy()
     readout, circuit = KINDS[kind]
     place = SHORTS[short]

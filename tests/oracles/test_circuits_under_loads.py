@@ -83,7 +83,6 @@ def cells_under(load: str, seed: int) -> Array:
 def test_the_resistor_of_idle_lines_is_named_with_its_value(
     load: str, keys: dict[str, float], number: str
 ) -> None:
-    """Under a palm either side's resistors give the readings."""
     check = Prepared(told(cells_under(load, 1), circuit(**keys), circuit(), 1)).check
     found = re.search(number, check.better)
     assert check.mark == "no" and found, check.sentence

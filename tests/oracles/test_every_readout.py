@@ -345,7 +345,6 @@ def wired_volts(cells: Array, scene: Scene) -> Array:
     ],
 )
 def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
-    """The line's voltages affect neither bounds nor starts of other cells."""
     sound = panel_of(readout, 0.0, shape=(8, COLUMNS))
     broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
     volt = np.stack([volts(frame * broken, readout) for frame in sound.truth_cell_resistance])
@@ -479,7 +478,6 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("readout", KINDS, ids=lambda readout: readout.kind)
 def test_shared_errors_move_the_estimate_within_its_error_bars(readout: Any) -> None:
-    """All channels and the reference are drawn anew for every panel."""
     cells = cells_of()
     rng = np.random.default_rng(8)
     scores = []

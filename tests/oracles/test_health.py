@@ -102,7 +102,7 @@ def with_fault(plan: Plan, line: str) -> Health:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "share"),
-    zip((*BROKEN_CELLS, *JOINED_LINES), (0.95, 0.95, 0.8, 0.7, 0.7), strict=True),
+    [*zip((*BROKEN_CELLS, *JOINED_LINES), (0.95, 0.95, 0.8, 0.7, 0.7), strict=True)],
 )
 def test_faults_of_lines_and_cells_are_reported_with_their_line(line: str, share: float) -> None:
     """The films are uneven: on even ones, touching lines may read as single ones."""

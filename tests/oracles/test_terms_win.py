@@ -138,7 +138,6 @@ WINS: dict[
 
 @pytest.mark.parametrize("claim", WINS)
 def test_a_term_wins_on_its_scene(claim: str) -> None:
-    """A term beats plain least squares and earlier terms, with the best weights in hindsight."""
     place, own, alternatives, margin = WINS[claim]
     recorded = scene(*place)
     assert best(recorded, *own) < margin * min(
@@ -165,7 +164,6 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
 
 @pytest.mark.parametrize("reads_both", [False, True])
 def test_error_bars_include_the_error_of_the_baseline(reads_both: bool) -> None:
-    """The added errors are those of estimates from displaced baselines and previous frames."""
     rng = np.random.default_rng(8)
     shape = (3, 4)
     cells = 12
@@ -245,7 +243,6 @@ def arriving(kind: str, seed: int, frames: int = 18) -> Recording:
     ("kind", "margin"), [("panel", 0.9), ("disc", 0.9), ("rod", 0.95), ("attachment", 0.85)]
 )
 def test_the_arrival_term_beats_the_best_single_weight(kind: str, margin: float) -> None:
-    """The alternative is the change from the previous frame, with its best weight in hindsight."""
     errors = []
     best_errors = []
     for seed in range(2):

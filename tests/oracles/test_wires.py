@@ -116,7 +116,6 @@ def test_specified_wire_gives_the_cells(readout: Readout) -> None:
 @each_readout
 @pytest.mark.parametrize("formulation", ["auto", TruncatedMethod(steps=8), "linearised"], ids=str)
 def test_other_formulations_model_wire(readout: Readout, formulation: Any) -> None:
-    """The formulations are as accurate as without wire."""
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD))
     bare = simulated(Scene(Panel(9, 7), readout))
     error, bare_error = (
@@ -312,7 +311,6 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
 @pytest.mark.slow
 @each_readout
 def test_errors_of_estimated_contacts_match_their_deviations(readout: Readout) -> None:
-    """Cells of equal resistance and a penalty that knows it."""
     deviations = []
     narrower = []
     for seed in range(15):

@@ -33,7 +33,6 @@ def jumping() -> tuple[lampest.Stream, Readings]:
 def test_every_load_between_which_frames_jump_has_a_leader(
     jumping: tuple[lampest.Stream, Readings],
 ) -> None:
-    """Each frame is nearest to a leader under its own load."""
     _, readings = jumping
     leaders, nearest = leading_frames(readings)
     assert {leader % LOADS for leader in leaders} == set(range(LOADS))
@@ -51,7 +50,6 @@ def test_near_copies_of_a_frame_have_one_leader() -> None:
 def test_frames_of_a_block_are_those_that_are_pushed_alone(
     jumping: tuple[lampest.Stream, Readings],
 ) -> None:
-    """Estimates and error bars do not depend on where a solve begins."""
     stream, readings = jumping
     alone = stream
     for frame, (_, step) in enumerate(push_block(stream, readings)):
@@ -66,7 +64,6 @@ def test_frames_of_a_block_are_those_that_are_pushed_alone(
 
 
 def test_followers_begin_near_their_estimates(jumping: tuple[lampest.Stream, Readings]) -> None:
-    """A frame that follows a leader takes fewer iterations than the leaders do."""
     stream, readings = jumping
     leaders, _ = leading_frames(readings)
     iterations = np.array([step.solution.iterations for _, step in push_block(stream, readings)])

@@ -40,7 +40,6 @@ def test_values_that_do_not_fit_their_column_are_refused(tmp_path: Path) -> None
 def test_columns_of_an_application_are_attributes_of_a_case(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Files are read without the application, too, but for its columns."""
     pressure = np.arange(300.0).reshape(3, 10, 10)
     write_results(tmp_path / "r.h5", [invented_case(extra={"pressure": pressure})])
     (case,) = read_results(tmp_path / "r.h5").cases

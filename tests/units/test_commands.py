@@ -452,7 +452,6 @@ def test_plot_draws_a_given_frame_and_estimator(tmp_path: Path, lampest: Command
 
 @pytest.mark.slow
 def test_every_command_prints_the_same_warnings(disk: SimpleNamespace, lampest: Command) -> None:
-    """One frame of the recording is unloaded, and the live page replays it."""
     out = disk.folder / "out"
     warning = "only one frame is unloaded, so that nothing shows the noise"
     for command in (

@@ -320,7 +320,6 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_local_cluster_listens_only_on_the_loopback_address(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Loggers are restored when the cluster has ended."""
     log = logging.getLogger("distributed.scheduler")
     monkeypatch.setattr(log, "level", logging.ERROR)
     outcomes = Dask(workers=1).results(eval, [LISTENING])

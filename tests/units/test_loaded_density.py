@@ -98,7 +98,6 @@ def test_the_density_is_that_of_the_joint_distribution(changed: str) -> None:
 
 
 def test_changed_cells_are_selected_about_the_most_probable_ones() -> None:
-    """Whatever set the selection begins with, the cell that changed is in it, and no other."""
     density = LoadedDensity(pair_of_frames(2e-3))
     changed = np.zeros(COUNT, dtype=bool)
     changed[13] = True

@@ -180,7 +180,6 @@ def test_every_entry_point_gives_the_same_cells(name: str) -> None:
 
 
 def test_errors_name_inconsistent_inputs() -> None:
-    """Shapes and σ are a mistake; values never are."""
     good = np.full((2, *SHAPE), 700.0)
     role = np.ones(2, dtype=np.uint8)
     for given, sentence in (

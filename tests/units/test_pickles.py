@@ -87,7 +87,6 @@ def held_arrays(
 
 @pytest.mark.parametrize("name", MADE)
 def test_objects_of_public_classes_are_pickled_and_their_arrays_are_read_only(name: str) -> None:
-    """Objects as they are made, as they arrive, and as copies."""
     made = made_by_examples(CLASSES[name])
     assert made
     for way in (lambda value: value, copy.copy, *WAYS.values()):
@@ -146,7 +145,6 @@ def test_a_result_arrives_with_its_numbers(way: Callable[[Any], Any], formulatio
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 @pytest.mark.parametrize("formulation", ["reduced", "nodal", "per_pixel"])
 def test_a_stream_goes_on_where_it_arrives(way: Callable[[Any], Any], formulation: str) -> None:
-    """The next frame of the copy and of the original are equal to the last bit."""
     recording = small_recording()
     readings = recording.readings()
     estimator = Estimator(TERMS, formulation)

@@ -109,7 +109,6 @@ def any_decrease(point: Iterate, trial: Iterate, predicted: float) -> bool:
 def test_a_solve_with_another_part_ends_at_the_same_minimum(
     start: Evaluation, minimum: lampest.Array, parts: NewtonParts
 ) -> None:
-    """NewtonParts change the way, and no result."""
     outcome = solved(start, parts)
     assert outcome.status is Status.OPTIMUM
     assert_allclose(outcome.cell_resistance, minimum, rtol=SAME_MINIMUM)
@@ -126,7 +125,6 @@ def counted(usual: Callable[..., object], calls: list[str], name: str) -> Callab
 
 
 def test_a_solve_asks_every_part(start: Evaluation) -> None:
-    """No default stands beside a part."""
     calls: list[str] = []
     usual = vars(NewtonParts())
     parts = NewtonParts(**{name: counted(part, calls, name) for name, part in usual.items()})
@@ -136,7 +134,6 @@ def test_a_solve_asks_every_part(start: Evaluation) -> None:
 
 
 def test_a_solve_ends_as_its_termination_says(start: Evaluation) -> None:
-    """A status that the termination returns is that of the outcome."""
 
     def after_two(data: Data, history: History) -> Status | None:
         return Status.STALLED if len(history) > 2 else None
@@ -148,7 +145,6 @@ def test_a_solve_ends_as_its_termination_says(start: Evaluation) -> None:
 
 @pytest.mark.slow
 def test_a_solve_whose_steps_are_all_refused_does_not_claim_an_optimum(start: Evaluation) -> None:
-    """Without an accepted step, a point with a gradient is a breakdown."""
     outcome = solved(start, NewtonParts(acceptance=lambda point, trial, predicted: False))
     assert outcome.status is not Status.OPTIMUM
 
@@ -184,7 +180,6 @@ def test_changes_of_log_r_and_of_conductance_are_inverse() -> None:
 
 
 def test_a_step_is_accepted_from_the_smallest_sufficient_decrease_on() -> None:
-    """Just below it, and for a decrease that is no number, it is not."""
     predicted = 2.0
     least = SUFFICIENT_DECREASE * predicted
     decrease = np.array([least, 0.999 * least, -1.0, np.nan, np.inf])
@@ -193,7 +188,6 @@ def test_a_step_is_accepted_from_the_smallest_sufficient_decrease_on() -> None:
 
 
 def test_a_step_within_rounding_is_accepted_where_the_gradient_halves() -> None:
-    """The cost then neither rises nor falls visibly."""
     rounding = MIN_DECREASE_SHARE
     decrease = np.array([0.0, 0.0, -10 * rounding])
     trial_residual = np.array([0.5, 0.51, 0.1])
@@ -202,7 +196,6 @@ def test_a_step_within_rounding_is_accepted_where_the_gradient_halves() -> None:
 
 
 def test_a_solve_stalls_where_neither_cost_nor_gradient_falls_over_a_window() -> None:
-    """One of them that falls, or a window that is not full, is no stall."""
     flat = [(1.0, 1.0)] * (WINDOW + 1)
     assert stalled(flat)
     assert not stalled(flat[1:])
@@ -211,7 +204,6 @@ def test_a_solve_stalls_where_neither_cost_nor_gradient_falls_over_a_window() ->
 
 
 def test_the_time_limit_comes_before_a_stall() -> None:
-    """Data that are overdue end a solve at once."""
     flat = [(1.0, 1.0)] * (WINDOW + 1)
     late = SimpleNamespace(overdue=True)
     punctual = SimpleNamespace(overdue=False)
@@ -237,7 +229,6 @@ def test_a_frame_that_no_cells_give_is_not_solved_again_from_its_own_optimum() -
 
 
 def test_solvers_with_different_parts_are_different(start: Evaluation) -> None:
-    """Solvers are kept by their value."""
     solver = ProjectedNewton(start.cost, Settings())
     assert replace(solver, parts=NewtonParts(active_set=project_alone)) != solver
     assert replace(solver, parts=NewtonParts()) == solver

@@ -129,7 +129,6 @@ def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
 def test_a_later_frame_keeps_a_strict_minimum_in_spite_of_negative_curvature(
     *, continues: bool, starts: int
 ) -> None:
-    """A first frame searches."""
 
     class Curved(ProjectedNewton):
         def solve(self, data: Data, start: Evaluation) -> Outcome:

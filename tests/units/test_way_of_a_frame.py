@@ -41,7 +41,6 @@ def traced_classes(action: Any) -> list[str]:
 
 
 def test_a_run_makes_the_objects_of_the_page_in_its_order(tmp_path: Path) -> None:
-    """A recording is prepared, a stream takes its frames in steps, and estimates become columns."""
     (way,) = re.findall(r"^    (Recording → .*)$", PAGE.read_text(), re.M)
     *objects, last = way.split(" → ")
     assert last == NO_OBJECT

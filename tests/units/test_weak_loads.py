@@ -28,7 +28,6 @@ def doubt_of(estimates: lampest.Estimates) -> str:
 def test_a_chosen_weight_says_where_it_smooths_weak_loads(
     noise_lsb: float, penalty: lampest.Term
 ) -> None:
-    """Strong noise has the sentence, and noise that leaves loads alone has none."""
     estimates = lampest.reconstruct(weak_load(SEED, DEPTH, noise_lsb), [lampest.Misfit(), penalty])
     assert bool(doubt_of(estimates)) is (noise_lsb == 8.0)
 
@@ -36,7 +35,6 @@ def test_a_chosen_weight_says_where_it_smooths_weak_loads(
 @promise("howto/weights: An absolute loss holds changes instead")
 @pytest.mark.parametrize("penalty", [lampest.LogRatio(), lampest.TotalVariationOfChange()])
 def test_a_change_of_a_cell_below_the_said_threshold_does_not_show(penalty: lampest.Term) -> None:
-    """A single cell of a panel at rest changes by 0.7 and by 1.4 times the threshold."""
     noisy = lampest.reconstruct(weak_load(SEED, DEPTH, 8.0), [lampest.Misfit(), penalty])
     said = re.search(r"below ([\d.]+)", doubt_of(noisy))
     assert said is not None
