@@ -1,17 +1,20 @@
-"""An effect is gone with its file: the core runs without it, and its key has one sentence."""
+"""An effect or a kind of readout is gone with its file: the core runs without it."""
 
 import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 import lampest
 from lampest.panel.effects import LISTED_SHARED
+from lampest.panel.readouts import KINDS
 from lampest.panel.sizes import LISTED, LISTED_AT_LINES
 from lampest.recording.simulation.measure import OF_EFFECTS
+from lampest.runs.starter import circuits
 
 BASES = {"__init__", "line_effect", "sized_effect"}
 FOLDER = Path("panel") / "effects"
@@ -61,6 +64,36 @@ main()
 """
 
 
+CORE = {"two_point", "driven"}  # kinds of which the core itself makes circuits
+PRESETS = sorted(KINDS.keys() - CORE)
+WORDS = {kind: [word for word, each in circuits().items() if each.kind == kind] for kind in KINDS}
+READOUT_SCRIPT = """
+import json, sys
+import lampest
+from lampest.audit.advice import Audit
+from lampest.files.document import adapter
+from lampest.inference.prepared import Prepared
+from lampest.runs.starter import circuit_called, circuits
+
+kind, others, *words = sys.argv[1:]
+assert f'"{kind}"' not in json.dumps(adapter(lampest.Scene).json_schema())
+assert " ".join(circuits()) == others
+for word in words:
+    try:
+        circuit_called(word)
+    except lampest.InputError as error:
+        assert word not in str(error).partition("there are")[2].split(", ")
+    else:
+        raise AssertionError("the word is offered")
+readout = lampest.DrivenReadout(load_ohm=4700.0, drive_ohm=40.0, adc_bits=12, readings=1)
+rod = lampest.Rod(centre_mm=(25.0, 25.0), diameter_mm=30.0, mass_g=500.0)
+scene = lampest.Scene(lampest.Panel(6, 5), readout)
+recording = lampest.simulate(lampest.Simulation(1, 1, scene, frames=3, loads=(rod,)))
+assert "verified" in lampest.reconstruct(recording, [lampest.Misfit()]).status[-1]
+assert Audit(Prepared(recording)).verdict.mark == "yes"
+"""
+
+
 def file_of(path: str) -> str:
     """Return the name of the file of 'module:class'."""
     return path.partition(":")[0].rpartition(".")[2]
@@ -90,25 +123,41 @@ def texts(name: str) -> list[object]:
     ]
 
 
+def run_without(folder: Path, deleted: Sequence[Path], script: str, *words: str) -> str:
+    """Return what a script prints by a copy of the package that lacks some files."""
+    house = folder / "lampest"
+    shutil.copytree(Path(lampest.__file__).parent, house)  # with what is compiled
+    for file in deleted:
+        (house / file).unlink(missing_ok=True)
+    command = [sys.executable, "-c", script, *words]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=[] if name in FAST else [pytest.mark.slow]) for name in FILES],
 )
 def test_an_effect_is_gone_with_its_file(name: str, tmp_path: Path) -> None:
-    house = tmp_path / "lampest"
-    source = Path(lampest.__file__).parent
-    shutil.copytree(source, house)  # with what is compiled
-    (house / FOLDER / f"{name}.py").unlink()
-    (house / "inference" / "effects" / f"{name}.py").unlink(missing_ok=True)
-    (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
     plain, named, gone = texts(name)
-    done = subprocess.run(
-        [sys.executable, "script.py", json.dumps([plain, named, gone])],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    for sentence in done.stdout.splitlines()[: len(gone)]:
+    deleted = (FOLDER / f"{name}.py", Path("inference") / "effects" / f"{name}.py")
+    printed = run_without(tmp_path, deleted, SCRIPT, json.dumps([plain, named, gone]))
+    for sentence in printed.splitlines()[: len(gone)]:
         assert "no installed effect has this key" in sentence or "no such key" in sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=[pytest.mark.slow] if kind != "grounded" else [])
+        for kind in PRESETS
+    ],
+)
+def test_a_preset_is_gone_with_its_file(kind: str, tmp_path: Path) -> None:
+    assert WORDS[kind], "no word of init has the kind"
+    others = " ".join(word for word in circuits() if word not in WORDS[kind])
+    deleted = (Path("panel") / "readouts" / f"{kind}.py",)
+    run_without(tmp_path, deleted, READOUT_SCRIPT, kind, others, *WORDS[kind])
