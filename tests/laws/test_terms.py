@@ -330,14 +330,6 @@ def test_losses_equal_their_published_formulas() -> None:
     )
 
 
-def test_the_weights_of_squares_are_ones_without_a_derivative() -> None:
-    class Refusing(Squared):
-        def cost(self, residual: object) -> object:
-            raise AssertionError("differentiated")
-
-    assert_array_equal(Refusing().stiffness(GRID), np.ones_like(GRID))
-
-
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 def test_the_minimum_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
     """The least of the lowered objective over p, q ≥ 0 is weight·loss; duals are slopes."""

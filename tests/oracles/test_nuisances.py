@@ -62,15 +62,6 @@ def panel(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(4))
-def test_absent_nuisances_are_neither_named_nor_corrected(seed: int) -> None:
-    recording = panel(seed)
-    prepared = Prepared(recording)
-    assert prepared.warnings == () and prepared.noise.corrected_effects is None
-    assert np.array_equal(prepared.noise.readings.value, recording.readings().value)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_an_outlier_during_a_load_is_not_taken_for_a_contact(seed: int) -> None:
     """In the only loaded frame one reading is off by 25 ohm."""

@@ -19,7 +19,7 @@ from lampest.solvers.direction import (
     hold_beyond_bounds,
     newton_direction,
 )
-from lampest.solvers.hessian import Hessian, Smoothing
+from lampest.solvers.hessian import Smoothing
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton, trust_region_step
@@ -67,17 +67,6 @@ def test_the_smoothed_loss_is_one_function_with_its_slope_and_its_second_derivat
     assert np.all(loss <= np.abs(x)) and np.all(np.abs(centred.dual) < 1)
     assert_allclose((1 - centred.dual**2) * x, 2 * width * centred.dual, atol=1e-9)
     assert_allclose(centred.stiffness(x), by_differences, rtol=1e-4, atol=1e-7)
-
-
-@pytest.mark.parametrize("terms", TERMS)
-def test_the_hessian_of_absolute_losses_is_one_as_products_and_as_a_matrix(
-    terms: tuple[lampest.Term, ...],
-) -> None:
-    at = start(terms, 5)
-    at = at.elsewhere(at.cell_resistance * np.linspace(0.8, 1.3, 25).reshape(1, 5, 5))
-    hessian = Hessian(at, Smoothing.start(at))
-    along = np.random.default_rng(1).standard_normal(25)
-    assert_allclose(hessian.matrix @ along, hessian.product(along), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("terms", TERMS)

@@ -206,16 +206,6 @@ def test_detection_of_more_than_1024_cells_cannot_say(tmp_path: Path) -> None:
     assert answer.answer == "cannot say" and "up to 1024 cells" in answer.why
 
 
-def test_a_run_of_unreadable_recordings_solves_nothing(tmp_path: Path, lampest: Command) -> None:
-    (tmp_path / "a.h5").write_text("nothing of the kind")
-    (tmp_path / "run.yaml").write_text(
-        "{schema: 1, recordings: [a.h5], estimators: {E: {terms: {misfit: {}}}}}"
-    )
-    completed = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out")
-    assert completed.code == 2 and "a.h5: not a readable HDF5 file" in completed.err
-    assert not (tmp_path / "out").exists()
-
-
 @promise("apps/foreign/import: `1/2/2025` is refused where day and month cannot be distinguished.")
 def test_an_import_refuses_a_date_whose_day_may_be_its_month(tmp_path: Path) -> None:
     path = tmp_path / "m.csv"

@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm
 
-from lampest.apps.calibration.loads import _responses
 from lampest.files import levels
 from lampest.inference.evidence import (
     FIELD_CELLS,
@@ -103,24 +102,6 @@ def test_a_field_costs_its_outline_and_the_density_of_its_covariance() -> None:
         expected + 6 * OUTLINE_COST, rel=1e-6
     )
     assert changes.cost_of_field(place, moved) < changes.cost_of_field(place, moved | ~moved)
-
-
-def test_the_strongest_cell_determines_changes_within_the_frames_of_a_load(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The strongest cell moves by a quarter under the first load, another one under the second."""
-    logarithm = np.full((4, 2, 3), 0.1)
-    logarithm[:, 1, 2] = [-1.75, -2.25, -2.0, -2.0]
-    logarithm[:, 0, 1] = [0.1, 0.1, 0.3, -0.3]
-    estimates = SimpleNamespace(frame=np.arange(2, 6), film=None)
-    monkeypatch.setattr("lampest.apps.calibration.loads.reconstruct", lambda *_: estimates)
-    monkeypatch.setattr(
-        "lampest.apps.calibration.loads.log_change", lambda _: (logarithm, 0 * logarithm + 0.04)
-    )
-    recording: Any = SimpleNamespace(name="mine", role=np.arange(6))
-    loads: list[Any] = [SimpleNamespace(frames=frames) for frames in ((2, 3), (4, 5))]
-    *_, within = _responses(recording, loads)
-    np.testing.assert_allclose(within, [0.25, 0])
 
 
 def test_a_forked_child_renews_only_the_locks_of_cached_properties(
