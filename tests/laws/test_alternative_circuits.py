@@ -92,22 +92,31 @@ def pressed() -> lampest.Recording:
     return lampest.simulate(lampest.Simulation(1, 3, scene, frames=3, loads=(load,)))
 
 
-def test_alternatives_whose_laws_the_readings_break_are_not_fitted(
-    monkeypatch: pytest.MonkeyPatch, pressed: lampest.Recording
-) -> None:
-    question = Prepared(pressed).question
-    tried: list[Alternative] = []
+@pytest.fixture
+def alternative_fits(monkeypatch: pytest.MonkeyPatch) -> list[Alternative]:
+    """Return the list of alternatives that are fitted from now on."""
+    fitted_alternatives: list[Alternative] = []
     fits_of = explanation.fits_of
 
     def counted(alternative: Alternative, *further: object, **named: object) -> object:
-        tried.append(alternative)
+        fitted_alternatives.append(alternative)
         return fits_of(alternative, *further, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(explanation, "fits_of", counted)
+    return fitted_alternatives
+
+
+def test_alternatives_whose_laws_the_readings_break_are_not_fitted(
+    pressed: lampest.Recording, alternative_fits: list[Alternative]
+) -> None:
+    question = Prepared(pressed).question
     assert question.explanation is not None
+    alternative_fits.clear()
     better_alternative.better_alternative(question, question.explanation)
-    assert len(tried) > 3
-    assert not any(broken_law(alternative, question) for alternative in tried if alternative.kind)
+    assert len(alternative_fits) > 3
+    assert not any(
+        broken_law(alternative, question) for alternative in alternative_fits if alternative.kind
+    )
 
 
 @pytest.mark.parametrize("idle_ohm", [inf, 20e3, 3e3, 1.5e3, 500.0])
@@ -193,20 +202,6 @@ def test_a_fit_to_readings_that_no_cells_give_ends_at_the_minimum_of_the_solver(
     assert solution.solved
     least = CellsFit.at(scene, data, frame, solution.cell_resistance[0])
     assert fit.chi_square <= 1.01 * least.chi_square + 0.1
-
-
-@pytest.fixture
-def alternative_fits(monkeypatch: pytest.MonkeyPatch) -> list[Alternative]:
-    """Return the list of alternatives that are fitted from now on."""
-    fitted_alternatives: list[Alternative] = []
-    fits_of = explanation.fits_of
-
-    def counted(alternative: Alternative, *further: object, **named: object) -> object:
-        fitted_alternatives.append(alternative)
-        return fits_of(alternative, *further, **named)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(explanation, "fits_of", counted)
-    return fitted_alternatives
 
 
 def test_a_search_for_a_resistance_in_series_ends_where_none_can_win(

@@ -49,8 +49,13 @@ def pressed(random: np.random.Generator, shape: tuple[int, int], level: float) -
     return np.asarray(cells * np.exp(0.001 * random.standard_normal(cells.shape)))
 
 
-def check_of(random: np.random.Generator, scene: Scene, volt: Array) -> Any:
-    """Return the check of a recording with noise of 0.7 LSB."""
+def check_of(random: np.random.Generator, scene: Scene, cells: Array, built: Any) -> Any:
+    """Return the check of a recording by the circuit that is built, with noise of 0.7 LSB."""
+    volt = np.array([volts(frame, built) for frame in cells])
+    return check_of_volts(random, scene, volt)
+
+
+def check_of_volts(random: np.random.Generator, scene: Scene, volt: Array) -> Any:
     readout: Any = scene.readout
     noisy = volt + 0.7 * readout.lsb_volt * random.standard_normal(volt.shape)
     codes = np.clip(np.rint(readout.code_from_volt(noisy)), 0, 2**readout.adc_bits - 1)
@@ -65,7 +70,7 @@ def check_of_sheet(cells: Array, random: np.random.Generator, built: float, **ke
     ohm = np.array([two_point_resistances(frame, built) for frame in cells])
     volt = readout.volt_from_recorded(ohm)
     scene = Scene(Panel(*cells.shape[1:]), readout, purpose="mat", **keys)
-    return check_of(random, scene, volt)
+    return check_of_volts(random, scene, volt)
 
 
 @pytest.mark.slow
@@ -76,13 +81,12 @@ def test_idle_columns_that_may_be_held_are_a_doubt_until_the_scene_states_them(
     random = np.random.default_rng(7)
     cells = soft_load(random, shape, 12_000.0)
     built = replace(GROUNDED, idle_load_ohm=30.0)
-    volt = np.array([volts(frame, built) for frame in cells])
-    silent = check_of(random, Scene(Panel(*shape), GROUNDED), volt)
+    silent = check_of(random, Scene(Panel(*shape), GROUNDED), cells, built)
     assert silent.mark == "doubtful" and not silent.compared
     assert HELD in silent.sentence and "smaller" in silent.sentence
     assert "no other known one" not in silent.sentence
     assert "state what idle columns end in (.inf: nothing)" in silent.sentence
-    stated = check_of(random, Scene(Panel(*shape), built), volt)
+    stated = check_of(random, Scene(Panel(*shape), built), cells, built)
     assert stated.mark == "yes" and "idle_load_ohm" not in stated.sentence
 
 
@@ -91,8 +95,7 @@ def test_a_press_shows_that_idle_columns_float_and_that_nothing_leaks() -> None:
     random = np.random.default_rng(8)
     readout = replace(GROUNDED, load_ohm=4700.0, sense_ohm=70.0, adc_bits=12)
     cells = pressed(random, (8, 8), 4000.0)
-    volt = np.array([volts(frame, readout) for frame in cells])
-    check = check_of(random, Scene(Panel(8, 8), readout, purpose="mat"), volt)
+    check = check_of(random, Scene(Panel(8, 8), readout, purpose="mat"), cells, readout)
     assert check.mark == "yes" and check.compared
     assert "exclude" not in check.sentence and "about as likely" not in check.sentence
 
@@ -102,8 +105,7 @@ def test_idle_columns_that_are_stated_to_float_are_no_question() -> None:
     random = np.random.default_rng(9)
     readout = replace(GROUNDED, idle_load_ohm=inf)
     cells = soft_load(random, (8, 8), 12_000.0)
-    volt = np.array([volts(frame, readout) for frame in cells])
-    check = check_of(random, Scene(Panel(8, 8), readout), volt)
+    check = check_of(random, Scene(Panel(8, 8), readout), cells, readout)
     assert check.mark == "yes" and "idle_load_ohm" not in check.sentence
 
 
@@ -138,8 +140,8 @@ def test_pull_downs_that_may_stay_are_named() -> None:
         **CONVERTER,
     )
     cells = soft_load(random, (4, 4), 6000.0)
-    volt = np.array([volts(frame, replace(switched, idle_stays=True)) for frame in cells])
-    check = check_of(random, Scene(Panel(4, 4), switched), volt)
+    staying = replace(switched, idle_stays=True)
+    check = check_of(random, Scene(Panel(4, 4), switched), cells, staying)
     assert "readout: {idle_stays: true} (resistors that stay at driven rows)" in check.sentence
-    stated = check_of(random, Scene(Panel(4, 4), replace(switched, idle_stays=True)), volt)
+    stated = check_of(random, Scene(Panel(4, 4), staying), cells, staying)
     assert stated.mark == "yes" and "idle_stays" not in stated.sentence

@@ -58,6 +58,27 @@ def checked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
+@pytest.fixture
+def looks(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return the list of recordings at whose health is looked from now on."""
+    recordings: list[Any] = []
+    of = Health.of
+    monkeypatch.setattr(
+        Health, "of", lambda recording: recordings.append(recording) or of(recording)
+    )
+    return recordings
+
+
+@pytest.fixture
+def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a check fail when it is reached."""
+
+    def refused(prepared: Any) -> None:
+        raise AssertionError("checked")
+
+    monkeypatch.setattr(lampest.inference.prepared.Prepared, "check", property(refused))
+
+
 def run(folder: Path, text: str = RUN, **options: Any) -> Report:
     """Run the file of a folder with this text."""
     (folder / "run.yaml").write_text(text)
@@ -117,13 +138,7 @@ def test_checks_come_after_all_estimates_and_count_as_a_step_of_their_own(
     assert steps == [(0, 1), (1, 1)]  # what is left shows from the beginning
 
 
-def test_a_run_without_checks_says_so_and_computes_none(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refused(prepared: Any) -> None:
-        raise AssertionError("checked")
-
-    monkeypatch.setattr(lampest.inference.prepared.Prepared, "check", property(refused))
+def test_a_run_without_checks_says_so_and_computes_none(folder: Path, unchecked: None) -> None:
     report = run(folder, f"{RUN}check: none\n")
     assert [line for line in report.warnings if "not checked" in line] == [
         "mine: the circuit was not checked: the run leaves it out"
@@ -135,14 +150,9 @@ def test_a_run_without_checks_says_so_and_computes_none(
 
 
 @pytest.fixture
-def described(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Return the lines of `info`, whose check fails when it is reached."""
-
-    def refused(prepared: Any) -> None:
-        raise AssertionError("checked")
-
+def described(folder: Path, monkeypatch: pytest.MonkeyPatch, unchecked: None) -> Iterator[str]:
+    """Return the lines of `info`."""
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(lampest.inference.prepared.Prepared, "check", property(refused))
     return describe("mine.h5")
 
 
@@ -193,10 +203,10 @@ def test_info_and_detect_read_the_check_that_a_run_has_kept(
 
 
 def test_detect_answers_before_the_check(folder: Path, described: Iterator[str]) -> None:
-    unchecked = answer_recording(folder / "mine.h5")
-    assert unchecked.answer.sentence
+    answered = answer_recording(folder / "mine.h5")
+    assert answered.answer.sentence
     with pytest.raises(AssertionError, match="checked"):
-        unchecked.checked()
+        answered.checked()
 
 
 def test_a_check_that_fails_costs_no_estimate(
@@ -213,11 +223,8 @@ def test_a_check_that_fails_costs_no_estimate(
 
 
 def test_a_result_and_a_report_look_at_the_health_of_a_panel_once(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, looks: list[Any]
 ) -> None:
-    looks: list[Any] = []
-    of = Health.of
-    monkeypatch.setattr(Health, "of", lambda recording: looks.append(recording) or of(recording))
     estimates = lampest.reconstruct(lampest.Recording.load(folder / "mine.h5"), [lampest.Misfit()])
     case = estimates.result()
     assert (case.model_mark, len(looks)) == ("yes", 1)
@@ -254,12 +261,7 @@ def test_a_kept_check_is_described_without_the_libraries_of_estimates(folder: Pa
 
 
 @pytest.mark.slow
-def test_info_looks_at_the_health_of_a_panel_once(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    looks: list[Any] = []
-    of = Health.of
-    monkeypatch.setattr(Health, "of", lambda recording: looks.append(recording) or of(recording))
+def test_info_looks_at_the_health_of_a_panel_once(folder: Path, looks: list[Any]) -> None:
     list(describe(folder / "mine.h5"))
     assert len(looks) == 1
 

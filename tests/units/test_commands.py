@@ -325,24 +325,8 @@ def test_a_recording_ends_with_a_line_and_its_warnings(
     lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     requested: dict[str, Any] = {}
-    words = (
-        "record",
-        "--port",
-        "p",
-        "--out",
-        "r.h5",
-        "--count",
-        "7",
-        "--baseline",
-        "2",
-        "--period",
-        "0.5",
-        "--lines",
-        "--baud",
-        "115200",
-        "--unit",
-        "kohm",
-    )
+    options = "--count 7 --baseline 2 --period 0.5 --lines --baud 115200 --unit kohm"
+    words = f"record --port p --out r.h5 {options}".split()
     for ending, warning in ENDS_WITH_WARNINGS:
 
         def record(
@@ -356,11 +340,7 @@ def test_a_recording_ends_with_a_line_and_its_warnings(
         completed = lampest(*words)
         boards = Listening(("p",), None, 2, 0.5, lines=True, baud=115200, unit="kohm")
         assert requested.pop("places") == (boards, Path("r.h5"))
-        assert requested == {
-            "frames": 7,
-            "seconds": None,
-            "keys": "",
-        }
+        assert requested == {"frames": 7, "seconds": None, "keys": ""}
         assert (
             completed.out
             == "7 frames, 2 lost, 1 restarts of the board, noise of one reading 0.70 LSB: r.h5\n"

@@ -30,11 +30,19 @@ INPUTS = DrivenReadout(
     drive_ohm=45.0, idle_ohm=45.0, load_ohm=inf, supply_volt=3.3, adc_bits=16, readings=1
 )
 SHAPE = (5, 6)
+PRESSED = (8, 8)
 EXPLAINED = ModelCheck(explains=True, sentence="the circuit can give these readings")
 
 
-def cells() -> lampest.Array:
-    return 20_000 * np.exp(0.3 * np.random.default_rng(4).standard_normal(SHAPE))
+def cells(shape: tuple[int, int] = SHAPE) -> lampest.Array:
+    return 20_000 * np.exp(0.3 * np.random.default_rng(4).standard_normal(shape))
+
+
+def press() -> tuple[lampest.Array, lampest.Array]:
+    """Resting and pressed cells."""
+    pressed = cells(PRESSED)
+    pressed[1:3, 2:4] = 1200.0
+    return cells(PRESSED), pressed
 
 
 def recording(readout: Any, measured: lampest.Readout, noise: float = 0.5) -> Recording:
@@ -85,15 +93,12 @@ def test_the_verdict_names_the_scales_and_no_bound_excludes_the_cells() -> None:
 def test_the_unloaded_panel_and_usual_cells_choose_scales_that_no_reading_shows(
     formulation: Any,
 ) -> None:
-    shape = (8, 8)
     readout = replace(INPUTS, adc_bits=12)
-    resting = 20_000 * np.exp(0.3 * np.random.default_rng(4).standard_normal(shape))
-    pressed = resting.copy()
-    pressed[1:3, 2:4] = 1200.0
+    resting, pressed = press()
     exact = np.stack([readout.exact_reading(cells) for cells in [resting] * 4 + [pressed] * 2])
     draws = 0.5 * readout.lsb_volt * np.random.default_rng(9).standard_normal(exact.shape)
     codes = readout.code_from_volt(exact + draws).astype(float)
-    scene = Scene(Panel(*shape), readout)
+    scene = Scene(Panel(*PRESSED), readout)
     made = Recording.from_array(codes, unit="code", scene=scene, baseline=4)
     estimate = lampest.reconstruct(made, formulation=formulation)
     change = np.log1p(estimate.relative_change[-1] / 100) - np.log(pressed / resting)
@@ -133,17 +138,12 @@ def test_a_plain_misfit_has_the_same_priors_in_its_own_unit() -> None:
 def test_codes_that_are_rounded_down_are_named_where_readings_are_redundant() -> None:
     """Without resistors a column has one reading more than ratios of cells."""
     built = replace(INPUTS, adc_bits=12)
-    shape = (8, 8)
-    resting = 20_000 * np.exp(0.3 * np.random.default_rng(4).standard_normal(shape))
-    pressed = resting.copy()
-    pressed[1:3, 2:4] = 1200.0
-    exact = [built.exact_reading(panel) for panel in (resting, pressed)]
-    frames = np.repeat(exact, 12, axis=0)
+    frames = np.repeat([built.exact_reading(panel) for panel in press()], 12, axis=0)
     draws = 0.5 * np.random.default_rng(9).standard_normal(frames.shape)
     codes = np.floor(frames / built.lsb_volt + draws)
 
     def checked(readout: DrivenReadout) -> Audit:
-        scene = Scene(Panel(*shape), readout)
+        scene = Scene(Panel(*PRESSED), readout)
         return Audit(Prepared(Recording.from_array(codes, unit="code", scene=scene, baseline=12)))
 
     audit = checked(built)
