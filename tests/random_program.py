@@ -1,12 +1,11 @@
 """Random own programs, and an independent judge of their optima.
 
-The judge computes readings with dense linear algebra over the cells, and minimises with SciPy's
-SLSQP. It shares no formula with lampest.
+The judge computes readings by `tests/least_cost.py`, and minimises with SciPy's SLSQP. It shares no
+formula with lampest.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import casadi
@@ -15,6 +14,7 @@ from scipy.optimize import Bounds, minimize
 
 import lampest
 from lampest.panel.readouts.tolerances import simulated
+from tests.least_cost import TWO_POINT, edges
 
 Array = lampest.Array
 LIMITLESS = 1e20
@@ -157,40 +157,24 @@ def _recording(rng: Any, shape: tuple[int, int]) -> lampest.Recording:
 
 
 def _misfit(shape: tuple[int, int], measured: Array, sigma: Array) -> Function:
-    """(R_eff − R_m)/σ, and its derivative −(v_a − v_b)²·∂g/∂ln r (Tellegen)."""
-    rows, columns = shape
+    """(R_eff − R_m)/σ."""
+    cells = shape[0] * shape[1]
 
     def residuals(x: Array) -> tuple[Array, Array]:
-        conductance = np.exp(-x[: rows * columns]).reshape(shape)
-        laplacian = np.zeros((rows + columns,) * 2)
-        laplacian[:rows, rows:] = -conductance
-        laplacian[rows:, :rows] = -conductance.T
-        laplacian -= np.diag(laplacian.sum(axis=1))
-        scale = conductance.mean()
-        inverse = np.linalg.inv(laplacian / scale + 1.0 / len(laplacian)) / scale
-        j, k = np.divmod(np.arange(rows * columns), columns)
-        k = k + rows
-        # voltage across each cell for a unit current into j and out of k
-        potential = inverse[:, j] - inverse[:, k]
-        across = potential[j] - potential[k]
-        reading = np.diag(across)
-        jacobian = np.zeros((rows * columns, len(x)))
-        jacobian[:, : rows * columns] = (across**2).T * conductance.ravel() / sigma[:, None]
-        return (reading - measured) / sigma, jacobian
+        reading, response = TWO_POINT.reading(np.exp(x[:cells]).reshape(shape))
+        jacobian = np.zeros((cells, len(x)))
+        jacobian[:, :cells] = response / sigma[:, None]
+        return (reading.ravel() - measured) / sigma, jacobian
 
     return residuals
 
 
 def _log_gradient(shape: tuple[int, int], weight: float) -> Function:
-    numbers = np.arange(shape[0] * shape[1]).reshape(shape)
-    pairs = [pair for line in (*numbers, *numbers.T) for pair in pairwise(line)]
-    matrix = np.zeros((len(pairs), numbers.size))
-    for row, (one, two) in enumerate(pairs):
-        matrix[row, one], matrix[row, two] = -np.sqrt(weight), np.sqrt(weight)
+    matrix = np.sqrt(weight) * edges(*shape)
 
     def residuals(x: Array) -> tuple[Array, Array]:
         wide = np.zeros((len(matrix), len(x)))
-        wide[:, : numbers.size] = matrix
+        wide[:, : matrix.shape[1]] = matrix
         return wide @ x, wide
 
     return residuals
