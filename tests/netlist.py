@@ -335,3 +335,31 @@ def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Re
             ohm = per_line(readout.idle_load_ohm, sense_count)[line]
             network.append((("s", line), idle_load_end, ohm))
     return [(first, second, ohm) for first, second, ohm in network if ohm < np.inf]
+
+
+def wired_volts(cells: Array, scene: Scene) -> Array:
+    """Volt at the converter, or at the far ends, of a wired panel, resistor by resistor."""
+    readout: Any = scene.circuit
+    rows, columns = cells.shape
+    turned = readout.driven == "columns"
+    terminals = {
+        ("d" if (line < rows) != turned else "s", line if line < rows else line - rows): line
+        for line in range(rows + columns)
+    }
+    high, low = (0.0, readout.supply_volt)[:: 1 if readout.polarity == "down" else -1]
+    wires = [(int(first), int(second), ohm) for first, second, ohm in resistors(cells, scene)]
+    ends = read_nodes(scene)
+    volt = np.empty(cells.shape)
+    matrix = cells.T if turned else cells
+    for place in np.ndindex(cells.shape):
+        driven, sensed = place[::-1] if turned else place
+        outside = network_of(matrix, readout, driven, sensed)[cells.size :]
+        network = wires + [
+            (terminals.get(first, first), terminals.get(second, second), ohm)
+            for first, second, ohm in outside
+        ]
+        at = potentials(network, {"high": high, "low": low, "ground": 0.0})
+        far = getattr(readout, "read_at", None) is not None
+        end = ends[terminals["s", sensed]]
+        volt[place] = at[end] if far else at.get(("load", sensed), at[end])
+    return volt

@@ -45,7 +45,7 @@ from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.recording.simulation.simulation import Simulation
 from tests.estimates import recording_of
-from tests.netlist import divider, network_of, potentials, resistors, volts
+from tests.netlist import divider, network_of, potentials, volts, wired_volts
 
 ROWS = 5
 COLUMNS = 6
@@ -305,33 +305,6 @@ def test_dividers_in_parallel_share_the_driven_row(input_ohm: float | None) -> N
         assert (
             np.median(reconstruct(silent, Estimator(LSM)).cell_resistance / truth) > CLEARLY_WRONG
         )
-
-
-def wired_volts(cells: Array, scene: Scene) -> Array:
-    """Volt at the converter of a wired panel, resistor by resistor."""
-    readout: Any = scene.circuit
-    rows, columns = cells.shape
-    turned = readout.driven == "columns"
-    terminals = {
-        ("d" if (line < rows) != turned else "s", line if line < rows else line - rows): line
-        for line in range(rows + columns)
-    }
-    volt = np.empty(cells.shape)
-    count = cells.T.shape if turned else cells.shape
-    high, low = (0.0, readout.supply_volt)[
-        :: 1 if getattr(readout, "polarity", "up") == "down" else -1
-    ]
-    panel = list(resistors(cells, scene))
-    for driven, sensed in np.ndindex(count):
-        outside = network_of(np.ones(count), readout, driven, sensed)[rows * columns :]
-        network = panel + [
-            (terminals.get(first, first), terminals.get(second, second), ohm)
-            for first, second, ohm in outside
-        ]
-        at = potentials(network, {"high": high, "low": low})
-        place = (sensed, driven) if turned else (driven, sensed)
-        volt[place] = at[("load", sensed) if ("load", sensed) in at else terminals["s", sensed]]
-    return volt
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from lampest import (
 from lampest.panel.difference_network import wire_responses
 from lampest.panel.joined_network import JoinedNetwork
 from tests.estimates import log_errors
-from tests.netlist import network_of, potentials, read_nodes, resistors
+from tests.netlist import wired_volts
 
 COUNT = 60
 SHAPES = ((3, 4), (4, 3), (2, 5), (1, 4), (4, 1))
@@ -70,35 +70,10 @@ def random_scene(seed: int) -> tuple[Scene, Array]:
     return Scene(Panel(*shape), readout, **keys), cells
 
 
-def read_by_netlist(scene: Scene, cells: Array) -> Array:
-    """Return the potentials of the far ends, (rows, columns) volt."""
-    readout: Any = scene.readout
-    rows, columns = cells.shape
-    by_rows = readout.driven == "rows"
-    terminal = {("d" if by_rows else "s", row): row for row in range(rows)}
-    terminal |= {("s" if by_rows else "d", column): rows + column for column in range(columns)}
-    high, low = (0.0, readout.supply_volt)[:: 1 if readout.polarity == "down" else -1]
-    held = {"high": high, "low": low, "ground": 0.0}
-    nodes = read_nodes(scene)
-    volt = np.empty(cells.shape)
-    matrix = cells if by_rows else cells.T
-    for row, column in np.ndindex(cells.shape):
-        driven, sensed = (row, column) if by_rows else (column, row)
-        electronics = [
-            (terminal.get(first, first), terminal.get(second, second), ohm)
-            for first, second, ohm in network_of(matrix, readout, driven, sensed)
-            if not (first in terminal and second in terminal)
-        ]
-        wires = [(int(first), int(second), ohm) for first, second, ohm in resistors(cells, scene)]
-        network = [*wires, *electronics]
-        volt[row, column] = potentials(network, held)[nodes[terminal["s", sensed]]]
-    return volt
-
-
 @pytest.mark.parametrize("seed", range(COUNT))
 def test_readings_are_the_potentials_of_the_far_ends_of_a_netlist(seed: int) -> None:
     scene, cells = random_scene(seed)
-    expected = read_by_netlist(scene, cells)
+    expected = wired_volts(cells, scene)
     reading = scene.circuit.exact_reading(cells, scene.wiring)
     recorded = scene.circuit.to_recorded(reading, scene)
     assert_allclose(recorded, expected, rtol=0, atol=TOLERANCE * np.abs(expected).max())
