@@ -232,12 +232,14 @@ def shared_changes(scene: Scene, frames: SharedFrames, sizes: Systematic) -> Sha
         for errors in (fixed, *([error] for error in estimated))
     )
     size = resting.cells.size
+    # The second order of noise x ~ N(0, v) changes ln r by x²/2, of mean square 3 v²/4.
+    variance = np.diag(resting.covariance) + np.diag(fit.covariance)
     # The unloaded panel and the frame have errors of their own; creep, and a common change of all
     # cells.
     covariance = (
         _with_frame_noise(resting.covariance, resting, frames.noise, baseline=True)
         + _with_frame_noise(fit.covariance, steadied, frames.noise, baseline=False)
-        + ASSUMED.creep**2 * np.eye(size)
+        + np.diag(0.75 * variance**2 + ASSUMED.creep**2)
         + ASSUMED.common_change**2
     )
     counts = {

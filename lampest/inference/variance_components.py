@@ -26,6 +26,7 @@ import numpy as np
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
 from lampest.inference.readings.repeated import QUIET_SHARE
 from lampest.panel.conditions import motion_patterns
+from lampest.panel.equation import equation_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import mean_sigma
 from lampest.panel.readouts.scan_order import in_scan_lines
@@ -114,7 +115,13 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
         return None
     value = np.where(count > 1, value, np.nan)
     middle = np.where(count > 1, np.nansum(value, axis=0) / np.maximum(count, 1), resting.value[0])
-    deviation = (value - middle) / resting.known_sigma
+    sigma = resting.known_sigma
+    # Noise of voltages is Gaussian, and that of resistances is not where a converter resolves
+    # little of them.
+    if scene.readout is not None:
+        equation = equation_of(circuit, *middle.shape)
+        value, sigma = equation.volt(value), equation.volt_sigma(value, sigma)
+    deviation = (value - np.nansum(value, axis=0) / np.maximum(count, 1)) / sigma
     if scene.readout is None:
         loudness = middle / np.exp(np.log(resting.known_sigma).mean(axis=0))
     else:

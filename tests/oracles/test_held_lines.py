@@ -7,6 +7,7 @@ import pytest
 
 import lampest
 from docs.studies.held_lines import nodal_volts, random_readout
+from docs.studies.model_check import sound
 from lampest import Array, DrivenReadout, Faults, Misfit, Panel, Recording, Scene
 from lampest.audit.advice import Audit, verdict
 from lampest.audit.health import Health
@@ -111,6 +112,9 @@ def test_several_panels_have_readings_that_rise_and_fall() -> None:
     # Idle lines yield more than the driven one
     yielding = DrivenReadout(idle_ohm=3300.0, drive_ohm=50.0, load_ohm=1000.0)
     assert not several_panels(yielding, *SHAPE)
+    # Idle driven lines are held as hard as the driven one
+    groups = ((0, 1, 2), (3, 4, 5))
+    assert several_panels(DrivenReadout(**BOTH, groups=groups), *SHAPE)
     assert not several_panels(DrivenReadout(idle_ohm=0.0, drive_ohm=0.0), *SHAPE)
     assert not several_panels(lampest.LoadedColumnsReadout(drive_ohm=470.0), *SHAPE)
 
@@ -149,6 +153,30 @@ def test_random_circuits_have_clear_and_right_panels_or_a_doubt() -> None:
         error = np.median(np.abs(choice.loaded / loaded - 1)[PRESSED])
         assert error < 0.1, (seed, readout)
     assert clear >= 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [262046, 262163])
+def test_a_panel_beyond_the_fold_of_all_lines_is_found(seed: int) -> None:
+    """One has cells of 0.7 times the right ones, and another circuit explained its load better.
+
+    In the other one the driven line has the resistance of the idle ones, and a short.
+    """
+    drawn = sound(seed, drifts=False)
+    assert drawn is not None
+    choice = Prepared(drawn[1]).panels
+    truth = drawn[1].truth_cell_resistance
+    assert choice is not None and truth is not None and choice.clear
+    for cells, right in ((choice.resting, truth[0]), (choice.loaded, truth[-1])):
+        assert abs(np.median(np.log(cells / right))) < 0.02
+
+
+@pytest.mark.slow
+def test_creep_is_not_advised_where_another_panel_may_be_meant() -> None:
+    drawn = sound(262175, drifts=False)
+    assert drawn is not None
+    audit = Audit(Prepared(drawn[1]))
+    assert not audit.advice and "alike" in audit.verdict.sentence
 
 
 def test_readings_of_the_study_are_those_of_netlists() -> None:

@@ -38,6 +38,7 @@ SOUND_WITHOUT_DRIFT = {
     94120: "noise below the rounding",
     94145: "readings near a fold, where linear theory does not hold",
     96020: "readings near a fold, where linear theory does not hold",
+    262152: "cells that readings hardly determine",
 }
 # A palm once was creep of all cells, feet that stand once were motion, and a bar a contact.
 UNDER_LOADS = [

@@ -9,7 +9,7 @@ from promises import promise
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from lampest import Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
+from lampest import Cells, Estimator, Misfit, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.apps.recognition.at_rest import touched
 from lampest.apps.recognition.detect.detection import detect_recording
 from lampest.apps.studies.study import read_settings
@@ -441,6 +441,20 @@ def test_an_error_of_readings_is_estimated_only_where_a_coarse_scan_shows_one(
     assert scans == [len(static_errors.COARSE)] == [11]
     assert STATIC_LINE in lines_of(recorded(9, scene_of(0.7), static=0.005))
     assert scans[1:] == [11, len(READING_ERRORS), len(READING_ERRORS)]
+
+
+def test_noise_of_coarse_resistances_is_that_of_their_voltages() -> None:
+    """Cells of 30 kilohm leave some 22 of 255 codes: resistances scatter by 1.1 and more."""
+    readout = TwoPointReadout(
+        adc_bits=8, readings=1, noise_lsb=3.0, reference_ohm=470.0, measured_across="sensor"
+    )
+    scene = Scene(Panel(12, 10), readout, 300.0)
+    noises = [
+        Prepared(simulate(Simulation(1, seed, scene, Cells(30000.0), frames=1))).frame_noise
+        for seed in range(12)
+    ]
+    assert np.mean([noise.factor for noise in noises]) == pytest.approx(1.0, abs=0.04)
+    assert all(noise.sigma_factor == 1 for noise in noises)
 
 
 def lines_of(recording: Recording) -> set[str]:

@@ -64,6 +64,9 @@ class CommonCreep(SceneEffect):
         named = not names_none(prepared, "creep", "temperature", "film")
         if named or not prepared.effects.common_change:
             return
+        panels = prepared.panels
+        if panels is not None and not panels.clear:
+            return  # another one of the panels that read alike may be meant
         explanation = prepared.question.explanation
         if explanation is not None and explanation.pair is not None:
             pair = explanation.pair

@@ -49,6 +49,7 @@ MAX_CELLS = 400  # whose determinant is computed
 SAME = 1e-2  # of log r: panels that differ by less are one
 MAX_SEARCHES = 16  # for all panels that give one frame's readings
 LINE_FACTORS = np.geomspace(1e-2, 1e2, 17)  # of the cells of a line, on the way to its fold
+WHOLE_FACTORS = (0.5, 2.0)  # of all cells, beyond the fold of the whole panel
 MIN_FACTOR = 1.3  # of the cells of a line beyond its fold
 MAX_DENSE = 400  # cells whose Jacobian is factored
 # Where no cells give the readings, the misfit falls by ever less: below 1 % an iteration it ends.
@@ -136,7 +137,8 @@ def every_panel(
 ) -> list[Array]:
     """Return the panels that give the readings, in the order in which they are found.
 
-    From each of them, searches begin beyond the folds of single driven lines.
+    From each of them, searches begin beyond the fold of the whole panel, whose cells are scaled,
+    and beyond the folds of single driven lines.
 
     Parameters
     ----------
@@ -160,6 +162,7 @@ def every_panel(
             continue
         if len(_distinct([*panels, cells])) > len(panels):
             panels.append(cells)
+            waiting.extend(factor * cells for factor in WHOLE_FACTORS)
             waiting.extend(_beyond_folds(network, measured, cells, driven_axis))
     return panels
 

@@ -174,9 +174,10 @@ def several_panels(circuit: SolvableCircuit, rows: int, columns: int) -> bool:
     if not nominal_terminations(circuit).driving.ohm.diagonal().any():
         return False
     equation = equation_of(circuit, rows, columns)
-    held = any(
-        np.any(np.isfinite(side.base.ohm) & (side.base.ohm != side.own.ohm))
-        for side in (equation.driving, equation.sensing)
+    sensing = equation.sensing
+    # All sensed lines have the load of the one that is read where nothing else holds them.
+    held = np.isfinite(equation.driving.base.ohm).any() or np.any(
+        np.isfinite(sensing.base.ohm) & (sensing.base.ohm != sensing.own.ohm)
     )
     if not held or unseen_scales(circuit, rows, columns):
         return False
