@@ -23,13 +23,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, TWO_SIDED
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, SIGNIFICANCE, TWO_SIDED
 from lampest.inference.readings.repeated import QUIET_SHARE
 from lampest.panel.conditions import motion_patterns
 from lampest.panel.equation import equation_of
-from lampest.panel.panel import Array
-from lampest.panel.readouts.converter import mean_sigma
+from lampest.panel.panel import Array, Mask
+from lampest.panel.readouts.converter import mean_sigma, noise_volt
 from lampest.panel.readouts.scan_order import in_scan_lines
+from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, variance_ratio_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
@@ -110,6 +111,8 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     circuit = recording.scene.circuit
     scene = recording.scene
     value = resting.plain_values
+    if scene.readout is not None and resting.bounds.any():
+        value = np.where(_beside_rails(scene, resting), np.nan, value)
     count = np.sum(~np.isnan(value), axis=0)
     if not (count > 1).any():
         return None
@@ -141,6 +144,18 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
         ripple=scene.ripple is not None,
         patterns=patterns,
     )
+
+
+def _beside_rails(scene: Scene, resting: Readings) -> Mask:
+    """Return the readings (rows, columns) whose noise a rail of the converter cuts off."""
+    readout = scene.circuit
+    mean = resting.mean()
+    steps = readout.steps_from_volt(
+        readout.volt_from_recorded(readout.to_recorded(mean.value, scene))
+    )
+    low, high = readout.codes
+    reach = NOISE_REACH * noise_volt(readout) / readout.lsb_volt
+    return mean.bounds | (steps < low + reach) | (steps > high - reach)
 
 
 def repeated_scatter(measured: Readings) -> Scatter | None:

@@ -39,6 +39,7 @@ SOUND_WITHOUT_DRIFT = {
     94145: "readings near a fold, where linear theory does not hold",
     96020: "readings near a fold, where linear theory does not hold",
     262152: "cells that readings hardly determine",
+    462029: "noise that a rail cuts off: half of the codes are the last one",
 }
 # A palm once was creep of all cells, feet that stand once were motion, and a bar a contact.
 UNDER_LOADS = [
