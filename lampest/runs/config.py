@@ -262,7 +262,10 @@ def read_run(path: str | Path, settings: tuple[str, ...] = ()) -> Run:
             key.removeprefix(prefix).removeprefix("terms."): value
             for key, value in point.assignments.items()
         }
-        name = _varied_name(point.entry, swept)
+        # The name has the swept values: LSR-gCR@gradient.weight=0.001
+        texts = (value if isinstance(value, str) else json.dumps(value) for value in swept.values())
+        parts = (f"{key}={text}".replace("/", "|") for key, text in zip(swept, texts, strict=True))
+        name = "@".join(filter(None, (point.entry, ",".join(parts))))
         estimator = resolve(point.document, run, point.entry)
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
@@ -410,13 +413,6 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         )
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
-
-
-def _varied_name(name: str, swept: Mapping[str, Any]) -> str:
-    """Return the estimator's name with the swept values: LSR-gCR@gradient.weight=0.001."""
-    texts = (value if isinstance(value, str) else json.dumps(value) for value in swept.values())
-    parts = (f"{key}={text}".replace("/", "|") for key, text in zip(swept, texts, strict=True))
-    return "@".join(filter(None, (name, ",".join(parts))))
 
 
 def json_schema() -> dict[str, Any]:

@@ -60,38 +60,31 @@ class Worker:
         Raises InputError if no process can be started.
         """
         if self.process is None:
-            self.process = self._started()
+            # Signals of the terminal are blocked, so that even the imports of a process are
+            # undisturbed, and the tracker does not die before them.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
+            try:
+                resource_tracker.ensure_running()
+                # Which the start of the tracker undid.
+                signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
+                self.pipe, theirs = get_context("spawn").Pipe()
+                with theirs:
+                    process = get_context("spawn").Process(
+                        target=_serve, args=(theirs, self._begun, self._arguments)
+                    )
+                    process.start()
+            except (OSError, MemoryError) as error:
+                reason = getattr(error, "strerror", None) or "not enough memory"
+                raise InputError(
+                    f"cannot start a further process ({reason}); --jobs 1 needs none"
+                ) from error
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            if self._killed:
+                process.kill()
+            self.process = process
         with suppress(OSError):  # it died after its last task, as `answer` will notice
             self.pipe.send((function, argument))
-
-    def _started(self) -> SpawnProcess:
-        """Start a process that answers tasks, with signals of the terminal blocked, and return it.
-
-        Raises InputError if no further process can be started.
-        """
-        # Blocked, so that even the imports of a process are undisturbed, and the tracker does not
-        # die before them.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
-        try:
-            resource_tracker.ensure_running()
-            # Which the start of the tracker undid.
-            signal.pthread_sigmask(signal.SIG_BLOCK, TERMINAL)
-            self.pipe, theirs = get_context("spawn").Pipe()
-            with theirs:
-                process = get_context("spawn").Process(
-                    target=_serve, args=(theirs, self._begun, self._arguments)
-                )
-                process.start()
-        except (OSError, MemoryError) as error:
-            reason = getattr(error, "strerror", None) or "not enough memory"
-            raise InputError(
-                f"cannot start a further process ({reason}); --jobs 1 needs none"
-            ) from error
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if self._killed:
-            process.kill()
-        return process
 
     @property
     def ready(self) -> bool:

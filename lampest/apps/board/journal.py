@@ -176,7 +176,25 @@ class Journal:
         self.given = 0
         with delayed_interrupt():  # a signal's exception must not pass through HDF5
             if self.waiting and room:
-                self._write_frames(rows)
+                unknown = np.full(self.scene.panel.shape, np.nan)
+                columns = [
+                    vars(arrived.sample.frame)
+                    | vars(arrived.sample)
+                    | {
+                        "recorded": arrived.sample.recorded,
+                        "role": arrived.role,
+                        "log_change": unknown
+                        if arrived.sample.frame.log_change is None
+                        else arrived.sample.frame.log_change,
+                    }
+                    for arrived in self.waiting
+                ]
+                names = ["recorded", *(path.split("/")[-1] for path, *_ in rows.datasets[1:])]
+                rows.append(self.file, [[column[name] for column in columns] for name in names])
+                self.until = self.waiting[-1].sample.host_time
+                self.last_time = self.waiting[-1].sample.time
+                self.given = len(self.waiting)
+                self.waiting.clear()
             for moment, label in self.events:
                 EVENTS.append(self.file, ([moment], [hdf5.ascii_array(label)]))
         self.events.clear()
@@ -184,28 +202,6 @@ class Journal:
             self.frames += self.given
             self.given = 0
             self.refused_since = self.refused_since if self.waiting else None
-
-    def _write_frames(self, rows: Rows) -> None:
-        """Pass the waiting samples to HDF5."""
-        unknown = np.full(self.scene.panel.shape, np.nan)
-        columns = [
-            vars(arrived.sample.frame)
-            | vars(arrived.sample)
-            | {
-                "recorded": arrived.sample.recorded,
-                "role": arrived.role,
-                "log_change": unknown
-                if arrived.sample.frame.log_change is None
-                else arrived.sample.frame.log_change,
-            }
-            for arrived in self.waiting
-        ]
-        names = ["recorded", *(path.split("/")[-1] for path, *_ in rows.datasets[1:])]
-        rows.append(self.file, [[column[name] for column in columns] for name in names])
-        self.until = self.waiting[-1].sample.host_time
-        self.last_time = self.waiting[-1].sample.time
-        self.given = len(self.waiting)
-        self.waiting.clear()
 
     def mark(self, moment: float, label: str) -> None:
         """Append an event; its label is cut to 16 characters."""

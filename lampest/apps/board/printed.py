@@ -115,7 +115,16 @@ class Printer:
                 pieces = listener.take()
                 batch = self._taken(pieces or ())
                 if pieces is None or over:
-                    batch += self._completed()
+                    # The end of the lines completes samples.
+                    last = line_text(self._pending.rstrip(b"\r"))
+                    self._pending = b""
+                    now = monotonic()
+                    frames = self._fed([last], now) if last.strip() else []
+                    frames += [Stamped(frame, now) for frame in self._reader.close()]
+                    samples = self._samples_of(frames)
+                    if self._printing is None and self._count:
+                        raise self._refused("ended before")
+                    batch += samples
                 yield batch
                 if pieces is None or over:
                     return
@@ -159,24 +168,29 @@ class Printer:
             for number, frame in enumerate(frames, 1)
         ]
 
-    def _completed(self) -> Batch:
-        """Return the samples that the end of the lines completes."""
-        last = line_text(self._pending.rstrip(b"\r"))
-        self._pending = b""
-        now = monotonic()
-        frames = self._fed([last], now) if last.strip() else []
-        frames += [Stamped(frame, now) for frame in self._reader.close()]
-        samples = self._samples_of(frames)
-        if self._printing is None and self._count:
-            raise self._refused("ended before")
-        return samples
-
     def _samples_of(self, frames: Sequence[Stamped]) -> Batch:
         """Return frames of one arrival as samples; those without a reading are lost."""
         if not frames:
             return ()
         if self._printing is None:
-            self._settle(frames)
+            # Unit and period follow from the first frames.
+            values = np.stack([item.frame.values for item in frames])
+            words = self._reader.words
+            self.unit, reason = understood_unit(values, self.unit, words, self.scene, self.url)
+            recorded = recorded_values(values, self.unit, self.scene, None, self.url)
+            impossible = np.isfinite(values) & np.isnan(recorded)
+            if np.mean(impossible) > MAX_IMPOSSIBLE:
+                recorded_values(values, self.unit, self.scene, self._place, self.url)
+            arrivals = [item.arrived for item in frames if item.arrived is not None]
+            stamps = [item.frame.seconds for item in frames if item.frame.seconds is not None]
+            how = "time: the board's" if stamps else "time: a frame's arrival"
+            if self.period is not None:
+                how = f"time: a frame every {self.period:g} s, as specified"
+            steps = np.diff(np.array(stamps or arrivals, dtype=float))
+            steps = steps[steps > 0]
+            usual = float(np.median(steps)) if steps.size else USUAL_PERIOD
+            understood = "; ".join((*self._reader.sentences, reason, how))
+            self._printing = Printing(self.period or usual, printable(understood))
         samples: Batch = ()
         for place, stamped in enumerate(frames):
             if np.isnan(stamped.frame.values[self.scene.panel.present]).all():
@@ -184,26 +198,6 @@ class Printer:
             else:
                 samples += (self._sample(stamped, len(frames) - place),)
         return samples
-
-    def _settle(self, stamped: Sequence[Stamped]) -> None:
-        """Understand unit and period by the first frames. Raises InputError."""
-        values = np.stack([item.frame.values for item in stamped])
-        words = self._reader.words
-        self.unit, reason = understood_unit(values, self.unit, words, self.scene, self.url)
-        recorded = recorded_values(values, self.unit, self.scene, None, self.url)
-        impossible = np.isfinite(values) & np.isnan(recorded)
-        if np.mean(impossible) > MAX_IMPOSSIBLE:
-            recorded_values(values, self.unit, self.scene, self._place, self.url)
-        arrivals = [item.arrived for item in stamped if item.arrived is not None]
-        stamps = [item.frame.seconds for item in stamped if item.frame.seconds is not None]
-        how = "time: the board's" if stamps else "time: a frame's arrival"
-        if self.period is not None:
-            how = f"time: a frame every {self.period:g} s, as specified"
-        steps = np.diff(np.array(stamps or arrivals, dtype=float))
-        steps = steps[steps > 0]
-        usual = float(np.median(steps)) if steps.size else USUAL_PERIOD
-        understood = "; ".join((*self._reader.sentences, reason, how))
-        self._printing = Printing(self.period or usual, printable(understood))
 
     def _place(self, frame: int, row: int, column: int) -> str:
         return f"{self.url}: frame {frame}, row {row}, column {column}"

@@ -54,15 +54,7 @@ def whole_parts(values: Array, rows: int) -> list[range] | None:
             order = np.argsort(usual)
             clear = rows > 2 and usual[order[-1]] > MIN_STEP * usual[order[-2]]
             return [range(int(order[-1]), len(values))] if clear else None
-    parts = _between(breaks, len(values), rows)
-    plain = [range(len(values))]
-    if not breaks or _misfit(values, rows, parts) < MAX_MISFIT * _misfit(values, rows, plain):
-        return parts
-    return None if surplus else plain
-
-
-def _between(breaks: list[Break], lines: int, rows: int) -> list[range]:
-    """Return the parts of whole frames between breaks."""
+    # Whole frames stand between the breaks.
     parts = list[range]()
     begin = 0
     displacement = 0
@@ -71,7 +63,11 @@ def _between(breaks: list[Break], lines: int, rows: int) -> list[range]:
         parts.append(range(begin, max(begin + (first - begin) // rows * rows, begin)))
         begin = last + max(shift, 0)
         begin += (displacement - begin) % rows
-    return [*parts, range(begin, lines)]
+    parts = [*parts, range(begin, len(values))]
+    plain = [range(len(values))]
+    if not breaks or _misfit(values, rows, parts) < MAX_MISFIT * _misfit(values, rows, plain):
+        return parts
+    return None if surplus else plain
 
 
 def _misfit(values: Array, rows: int, parts: list[range]) -> float:

@@ -109,33 +109,29 @@ def _arrays(path: Path, values: dict[str, Any]) -> Arrays:
         if not isinstance(value, list):
             continue
         if any(isinstance(part, list) or hasattr(part, "shape") for part in value):
-            arrays[name] = _numbers(value, f"{path}: {name}" if name else str(path))
+            # Nested lists become an array; null is a missing reading.
+            where = f"{path}: {name}" if name else str(path)
+            lengths = [len(part) if hasattr(part, "__len__") else 0 for part in value]
+            if len(set(lengths)) > 1:
+                usual = max(lengths, key=lengths.count)
+                odd = next(number for number, length in enumerate(lengths) if length != usual)
+                raise InputError(
+                    f"{where}[{odd}]: {lengths[odd]} values, where others have {usual}"
+                )
+            try:
+                array = np.array(value, dtype=float)
+            except (TypeError, ValueError, OverflowError) as error:
+                raise InputError(
+                    f"{where}: its lists differ in length, or hold what is no number"
+                ) from error
+            check_count(where, array.size)
+            arrays[name] = array
         elif all(isinstance(part, int | float | None) for part in value):
             arrays[name] = np.array(value, dtype=float)
         elif role_of(name) == "time" and all(map(_is_value, value)):
             with reading(path):
                 arrays[name] = np.array([_seconds(part) for part in value])
     return arrays
-
-
-def _numbers(value: list[Any], where: str) -> Any:
-    """Return nested lists as an array; null is a missing reading.
-
-    Raises InputError with the place of a fault.
-    """
-    lengths = [len(part) if hasattr(part, "__len__") else 0 for part in value]
-    if len(set(lengths)) > 1:
-        usual = max(lengths, key=lengths.count)
-        odd = next(number for number, length in enumerate(lengths) if length != usual)
-        raise InputError(f"{where}[{odd}]: {lengths[odd]} values, where others have {usual}")
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{where}: its lists differ in length, or hold what is no number"
-        ) from error
-    check_count(where, array.size)
-    return array
 
 
 def _seconds(value: Any) -> float:

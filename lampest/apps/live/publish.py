@@ -111,7 +111,22 @@ class LslPublish(Publish):
             frame, *before = sent.pop()
             if not outlets:
                 numbers = stream(self.path, "Pressure", len(row), "float32")
-                _describe(numbers.desc(), _description(message))
+                # Channels have names, units and places in metre, as the XDF format nests them.
+                channels = []
+                for label, unit, place in message.channels():
+                    location = (
+                        {} if place is None else {"location": dict(zip("XY", place, strict=True))}
+                    )
+                    channels.append({"channel": {"label": label, "unit": unit} | location})
+                lists = {
+                    "format": FORMAT,
+                    "verdicts": ",".join(VERDICTS),
+                    "answers": ",".join(ANSWERS),
+                }
+                panel = {
+                    name: getattr(message.panel, name) for name in ("rows", "columns", "pitch_mm")
+                }
+                _describe(numbers.desc(), lists | panel | {"channels": channels})
                 answers = stream(f"{self.path}-answer", "Markers", 1, "string")
                 outlets.extend(map(pylsl.StreamOutlet, (numbers, answers)))
             sent.append(message.signature)
@@ -125,17 +140,6 @@ class LslPublish(Publish):
 
         yield f"lsl://{self.path}", send
         outlets.clear()
-
-
-def _description(message: Message) -> Content:
-    """Return names, units and places in metre of the channels, as the XDF format nests them."""
-    channels = []
-    for label, unit, place in message.channels():
-        location = {} if place is None else {"location": dict(zip("XY", place, strict=True))}
-        channels.append({"channel": {"label": label, "unit": unit} | location})
-    lists = {"format": FORMAT, "verdicts": ",".join(VERDICTS), "answers": ",".join(ANSWERS)}
-    panel = {name: getattr(message.panel, name) for name in ("rows", "columns", "pitch_mm")}
-    return lists | panel | {"channels": channels}
 
 
 def _describe(element: Any, content: Content) -> None:
@@ -292,7 +296,17 @@ class MqttPublish(Publish):
                     waiting.append((info, time_now))
 
         try:
-            self._connect(client)
+            answers = list[Any]()
+            client.on_connect = client.on_disconnect = lambda *event: answers.append(event[3])
+            try:
+                client.connect(self.host, self.port)
+                client.loop_start()
+            except (OSError, ValueError) as error:
+                raise InputError(f"--publish: {self.where}: no broker answers ({error})") from error
+            if not waited(lambda: bool(answers), client.connect_timeout):
+                raise InputError(f"--publish: {self.where}: no broker answers (it says nothing)")
+            if answers[0].is_failure:
+                raise InputError(f"--publish: {self.where}: the broker refuses ({answers[0]})")
             client.on_disconnect = lambda *event: say(
                 f"{self.where}: the broker is gone ({event[3]}); it is called again"
             )
@@ -306,20 +320,6 @@ class MqttPublish(Publish):
             with suppress(OSError, AttributeError):  # the connection may be closed meanwhile
                 client.socket().shutdown(socket.SHUT_RDWR)
             client.loop_stop()
-
-    def _connect(self, client: Any) -> None:
-        """Connect to the broker. Raises InputError if none answers or it refuses."""
-        answers = list[Any]()
-        client.on_connect = client.on_disconnect = lambda *event: answers.append(event[3])
-        try:
-            client.connect(self.host, self.port)
-            client.loop_start()
-        except (OSError, ValueError) as error:
-            raise InputError(f"--publish: {self.where}: no broker answers ({error})") from error
-        if not waited(lambda: bool(answers), client.connect_timeout):
-            raise InputError(f"--publish: {self.where}: no broker answers (it says nothing)")
-        if answers[0].is_failure:
-            raise InputError(f"--publish: {self.where}: the broker refuses ({answers[0]})")
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,18 @@ class Watched:
                 start = Watched(self.name, "", news.scene, times=self.times)
                 return self._begun(start, news)
             if not self.missing:
-                return self._seen(news)
+                # The watch keeps at most MAX_REMEMBERED ended attachments.
+                if self.known is None or self.watch is None:
+                    return self
+                readings = Readings.of(self.known.scene, news.recorded, news.sigma)
+                watch = self.watch.push(*self.known.values(readings), news.time)
+                ended = [attachment for attachment in watch.attachments if not attachment.present]
+                forgotten = ended[:-MAX_REMEMBERED]
+                remembered = (each for each in watch.attachments if each not in forgotten)
+                watch = replace(watch, attachments=tuple(remembered))
+                return replace(
+                    self, why="", watch=watch, times=(*self.times[-HEAD_FRAMES:], news.time)
+                )
         except (ArithmeticError, ValueError) as error:
             return replace(start, why=logged_reason(error, self.name))
         zeroed = replace(self, missing=self.missing - 1, zero=(*self.zero, news))
@@ -150,21 +161,6 @@ class Watched:
             for attachment in (self.watch.attachments if self.watch else ())
         )
         return replace(start, known=known, watch=replace(watch, attachments=closed))
-
-    def _seen(self, scan: Scan) -> "Watched":
-        """Return the watch after a frame, with at most MAX_REMEMBERED ended attachments.
-
-        Unchanged before the unloaded frames.
-        """
-        if self.known is None or self.watch is None:
-            return self
-        readings = Readings.of(self.known.scene, scan.recorded, scan.sigma)
-        watch = self.watch.push(*self.known.values(readings), scan.time)
-        ended = [attachment for attachment in watch.attachments if not attachment.present]
-        forgotten = ended[:-MAX_REMEMBERED]
-        remembered = (each for each in watch.attachments if each not in forgotten)
-        watch = replace(watch, attachments=tuple(remembered))
-        return replace(self, why="", watch=watch, times=(*self.times[-HEAD_FRAMES:], scan.time))
 
 
 class Desk:

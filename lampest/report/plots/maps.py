@@ -316,7 +316,23 @@ class MapPainter:
         """
         places = self.panel.places_mm[:, self.panel.present].T
         values = values[self.panel.present]
-        corners = _squares(self.panel, places)
+        # Squares point to the nearest neighbour; their corners (cells, 4, 2) are in millimetre.
+        first, second, distance = self.panel.neighbours
+        number = np.cumsum(self.panel.present.ravel()) - 1
+        cell, neighbour = np.concatenate([number[[first, second]], number[[second, first]]], axis=1)
+        nearest_last = np.argsort(np.tile(distance, 2), kind="stable")[::-1]
+        way = np.tile([1.0, 0.0], (len(places), 1))
+        distance_mm = (np.tile(distance, 2) * self.panel.pitch_mm)[:, None]
+        way[cell[nearest_last]] = ((places[neighbour] - places[cell]) / distance_mm)[nearest_last]
+        across = np.stack([-way[:, 1], way[:, 0]], axis=1)
+        half = self.panel.pitch_mm / 2
+        corners = np.stack(
+            [
+                places + half * (a * way + b * across)
+                for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+            ],
+            axis=1,
+        )
         centres = places[:, None]
         listed = self.panel.cells is not None
         outlines = list(centres + 1.3 * (corners - centres)) if listed else []
@@ -356,23 +372,6 @@ class MapPainter:
 def values_of(tiles: Sequence[Tile]) -> list[Array]:
     """Return the values of tiles."""
     return [tile.values for tile in tiles if tile.values is not None]
-
-
-def _squares(panel: Panel, places: Array) -> Array:
-    """Return corners in millimetre, shape (cells, 4, 2); squares point to the nearest neighbour."""
-    first, second, distance = panel.neighbours
-    number = np.cumsum(panel.present.ravel()) - 1
-    cell, neighbour = np.concatenate([number[[first, second]], number[[second, first]]], axis=1)
-    nearest_last = np.argsort(np.tile(distance, 2), kind="stable")[::-1]
-    way = np.tile([1.0, 0.0], (len(places), 1))
-    distance_mm = (np.tile(distance, 2) * panel.pitch_mm)[:, None]
-    way[cell[nearest_last]] = ((places[neighbour] - places[cell]) / distance_mm)[nearest_last]
-    across = np.stack([-way[:, 1], way[:, 0]], axis=1)
-    half = panel.pitch_mm / 2
-    return np.stack(
-        [places + half * (a * way + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))],
-        axis=1,
-    )
 
 
 def maps_in_rows(
