@@ -4,7 +4,7 @@ A file holds a scene, the values of each field of a `Recording` that is known, a
 rows and columns. `lampest.recording.acquisition` names the datasets.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
@@ -24,9 +24,10 @@ from lampest.files.process import check_memory
 from lampest.panel.effects import SERIES
 from lampest.panel.panel import Panel
 from lampest.panel.readouts.converter import Characteristic
-from lampest.panel.scene import Scene, validated_scene
+from lampest.panel.scene import Scene, scene_text, validated_scene
 from lampest.recording.acquisition import (
     CODE_OFFSET,
+    FILE_ATTRIBUTES,
     FORMER_OFFSET,
     Acquisition,
     group_of,
@@ -131,6 +132,48 @@ def read_frames(file: File, scene: Scene, part: slice) -> dict[str, Any]:
     held.setdefault("time", number.astype(float))
     held["number"] = None if part == hdf5.ALL else number
     return held
+
+
+def write_frames(file: File, scene: Scene, held: Mapping[str, Any]) -> None:
+    """Write scene, frames, truth and acquisition into a new file, in the layout of NeXus.
+
+    `held` are the fields of a `Recording`, None where there is none; the inverse of `read_frames`.
+    """
+    hdf5.set_attributes(file, **FILE_ATTRIBUTES)
+    entry = file.create_group("entry")
+    hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(scene.circuit))
+    hdf5.write_text(entry, "scene", scene_text(scene))
+    if held["start_time"] is not None:
+        hdf5.write_text(entry, "start_time", held["start_time"])  # NeXus has it under this name
+    lines = ("time", "row", "column")
+    axes = {1: lines[:1], 2: lines[1:], 3: lines}
+    flags = {"flag_values": np.arange(2, dtype=np.uint8), "flag_meanings": "unloaded measured"}
+    for field, (path, kind, units, long_name) in stored_fields(scene.circuit).items():
+        name, signal = path.split("/")
+        values = held[field]
+        uncounted = field == "raw_sums" and held["raw_readings"] is None
+        if values is None or uncounted or field == "time":  # each group has a time of its own
+            continue
+        group = entry.get(name)
+        if group is None:
+            group = entry.create_group(name)
+            hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=[*lines])
+            hdf5.write_scale(group, "time", held["time"], "s", "time of the frame")
+            for place, (along, at, unit, words) in coordinates(scene.panel).items():
+                if (place,) == along:
+                    hdf5.write_scale(group, place, at, unit, words)
+                else:
+                    hdf5.write_dataset(group, place, at, unit, words, along)
+        meanings: dict[str, Any] = flags if field == "role" else {}
+        hdf5.write_dataset(
+            group, signal, values.astype(kind), units, long_name, axes[values.ndim], **meanings
+        )
+    if "raw" in entry:
+        hdf5.set_attributes(entry["raw"], readings=np.uint16(held["raw_readings"] or 0))
+    if held["truth_cell_resistance"] is not None and held["simulation"] is not None:
+        hdf5.write_text(entry["truth"], "simulation", held["simulation"])
+    if held["acquisition"] is not None:
+        held["acquisition"].write(entry, held["time"])
 
 
 def read_raw_readings(file: File) -> int:

@@ -5,7 +5,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +14,8 @@ from lampest.files.errors import InputError, extra
 from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Numbers, Panel, as_panels_have
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import FILE_ATTRIBUTES, Acquisition, group_of, stored_fields
-from lampest.recording.file import coordinates, read_frames, recording_file
+from lampest.recording.acquisition import Acquisition, group_of, stored_fields
+from lampest.recording.file import read_frames, recording_file, write_frames
 from lampest.recording.readings import Readings, check_sigma, mean_change, strongest_frame
 
 UNLOADED = 0
@@ -367,50 +366,7 @@ class Recording(Validated):
         Raises InputError if the file cannot be written.
         """
         with hdf5.new_file(Path(path)) as file:
-            self._write(file)
-
-    def _write(self, file: h5py.File) -> None:
-        """Write scene, frames, truth and acquisition into a new file, in the layout of NeXus."""
-        hdf5.set_attributes(file, **FILE_ATTRIBUTES)
-        entry = file.create_group("entry")
-        hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(self.scene.circuit))
-        from lampest.panel.scene import scene_text  # for a file alone
-
-        hdf5.write_text(entry, "scene", scene_text(self.scene))
-        if self.start_time is not None:
-            hdf5.write_text(entry, "start_time", self.start_time)  # NeXus has it under this name
-        axes = {1: ("time",), 2: ("row", "column"), 3: ("time", "row", "column")}
-        flags = {
-            "flag_values": np.array(ROLES, dtype=np.uint8),
-            "flag_meanings": "unloaded measured",
-        }
-        for field, (path, kind, units, long_name) in stored_fields(self.scene.circuit).items():
-            name, signal = path.split("/")
-            values = getattr(self, field)
-            uncounted = field == "raw_sums" and self.raw_readings is None
-            if values is None or uncounted or field == "time":  # each group has a time of its own
-                continue
-            group = entry.get(name)
-            if group is None:
-                group = entry.create_group(name)
-                lines = ["time", "row", "column"]
-                hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=lines)
-                hdf5.write_scale(group, "time", self.time, "s", "time of the frame")
-                for place, (along, at, unit, words) in coordinates(self.scene.panel).items():
-                    if (place,) == along:
-                        hdf5.write_scale(group, place, at, unit, words)
-                    else:
-                        hdf5.write_dataset(group, place, at, unit, words, along)
-            meanings: dict[str, Any] = flags if field == "role" else {}
-            hdf5.write_dataset(
-                group, signal, values.astype(kind), units, long_name, axes[values.ndim], **meanings
-            )
-        if "raw" in entry:
-            hdf5.set_attributes(entry["raw"], readings=np.uint16(self.raw_readings or 0))
-        if self.truth_cell_resistance is not None and self.simulation is not None:
-            hdf5.write_text(entry["truth"], "simulation", self.simulation)
-        if self.acquisition is not None:
-            self.acquisition.write(entry, self.time)
+            write_frames(file, self.scene, vars(self))
 
     @cached_property
     def modules(self) -> tuple["Recording", ...]:
