@@ -6,17 +6,16 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from lampest.files.document import UNKNOWN, Document, place_in
 from lampest.files.errors import InputError, meant
 
-Kind = TypeVar("Kind")
 MAX_COMBINATIONS = 10_000
 
 
 @dataclass(frozen=True)
-class Combination(Generic[Kind]):
+class Combination:
     """One combination of a sweep.
 
     Attributes
@@ -34,15 +33,15 @@ class Combination(Generic[Kind]):
     entry: str
     assignments: dict[str, Any]
     document: Document
-    value: Kind
+    value: Any
 
 
 def combinations(
     document: Document,
-    validate: Callable[[Document], Kind],
+    validate: Callable[[Document], Any],
     apart: str = "",
     fixed: Mapping[str, str] | None = None,
-) -> list[Combination[Kind]]:
+) -> list[Combination]:
     """Return every combination of a document's sweep, the last path fastest.
 
     Parameters

@@ -11,6 +11,9 @@ import numpy as np
 from lampest.files.typed import Configuration
 from lampest.panel.panel import Mask, Modules, Panel
 
+Places = tuple[tuple[int, int], ...]  # (row, column) of cells, or of modules
+LinesOfSide = tuple[int, ...]  # numbers of rows, or of columns
+
 
 @dataclass(frozen=True)
 class Faults(Configuration):
@@ -34,13 +37,13 @@ class Faults(Configuration):
     np.int64(3)
     """
 
-    open: tuple[tuple[int, int], ...] = ()
-    shorted: tuple[tuple[int, int], ...] = ()
-    dead_rows: tuple[int, ...] = ()
-    dead_columns: tuple[int, ...] = ()
-    joined_rows: tuple[tuple[int, ...], ...] = ()
-    joined_columns: tuple[tuple[int, ...], ...] = ()
-    dead_modules: tuple[tuple[int, int], ...] = ()
+    open: Places = ()
+    shorted: Places = ()
+    dead_rows: LinesOfSide = ()
+    dead_columns: LinesOfSide = ()
+    joined_rows: tuple[LinesOfSide, ...] = ()
+    joined_columns: tuple[LinesOfSide, ...] = ()
+    dead_modules: Places = ()
 
     def open_cells(self, panel: Panel) -> Mask:
         """Return whether a cell carries no current, boolean (rows, columns)."""
@@ -59,7 +62,7 @@ class Faults(Configuration):
         """Return whether a reading is missing because of a fault, boolean (rows, columns)."""
         return replace(self, open=self.shorted).open_cells(panel)
 
-    def joined(self, panel: Panel) -> tuple[tuple[int, ...], ...]:
+    def joined(self, panel: Panel) -> tuple[LinesOfSide, ...]:
         """Return the groups of lines that are one node, by the numbers of the lines, rows first."""
         return (
             *self.joined_rows,
@@ -112,7 +115,7 @@ class Faults(Configuration):
         rows, columns = layout.cells(number)
         module_faults = module_faults or Faults()
 
-        def inside(cells: tuple[tuple[int, int], ...]) -> list[tuple[int, int]]:
+        def inside(cells: Places) -> list[tuple[int, int]]:
             return [
                 (row - rows.start, column - columns.start)
                 for row, column in cells

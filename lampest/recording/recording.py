@@ -30,6 +30,7 @@ UNEVENLY = (
 )
 # Least relative change of readings or cells by a load or a common error, far above drift.
 MIN_CHANGE = 0.01
+AnyScene = Scene | str | Path | None  # a scene, its file, or none
 MAX_NEIGHBOURS = 2  # frames or networks that decide with the strongest one
 
 
@@ -195,7 +196,7 @@ class Recording(Validated):
         values: Array,
         unit: str = "ohm",
         baseline: int = 0,
-        scene: Scene | str | Path | None = None,
+        scene: AnyScene = None,
         time: Array | None = None,
     ) -> "Recording":
         """Return the recording of an array of readings.
@@ -253,7 +254,7 @@ class Recording(Validated):
         table: Any,
         unit: str | None = None,
         baseline: int = 0,
-        scene: Scene | str | Path | None = None,
+        scene: AnyScene = None,
         rows: int | None = None,
         columns: int | None = None,
     ) -> "Recording":
@@ -298,7 +299,7 @@ class Recording(Validated):
         data: Any,
         unit: str | None = None,
         baseline: int = 0,
-        scene: Scene | str | Path | None = None,
+        scene: AnyScene = None,
     ) -> "Recording":
         """Return the recording of an xarray.DataArray over time, row and column, in any order.
 
@@ -426,7 +427,7 @@ def deciding_frames(recording: Recording, readings: Readings, resting: Readings)
     return np.append(strongest, loaded[np.unique(spread.round().astype(int))])
 
 
-def _scene_of(scene: Scene | str | Path | None) -> Scene | None:
+def _scene_of(scene: AnyScene) -> Scene | None:
     """Return a scene, read from its file where a path is given."""
     if not isinstance(scene, str | Path):
         return scene

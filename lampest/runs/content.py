@@ -43,6 +43,7 @@ if TYPE_CHECKING:  # readers of results need not load the solvers
 
 
 NamedValues = dict[str, Array]
+Known = Array | None  # None: not computed, or absent
 
 
 def _declared(
@@ -266,14 +267,14 @@ class Content(Validated):
         as_volt="baseline",
         shared=True,
     )
-    sigma: Array | None = _optional_maps(
+    sigma: Known = _optional_maps(
         "ohm",
         "standard deviation of the reading",
         positive_or_infinite,
         as_volt="sigma",
         shared=True,
     )
-    sigma_baseline: Array | None = _optional_cells(
+    sigma_baseline: Known = _optional_cells(
         "standard deviation of the baseline",
         positive_or_infinite,
         as_volt="sigma_baseline",
@@ -293,14 +294,14 @@ class Content(Validated):
     bound_readings: NDArray[np.int64] | None = _counts(
         "readings at a rail, zero, or below the series resistance", shared=True, default=None
     )
-    truth: Array | None = _optional_maps(
+    truth: Known = _optional_maps(
         "ohm",
         "true cell resistance",
         positive_or_missing,
         value=_truth,
         shared=True,
     )
-    truth_baseline: Array | None = _optional_cells(
+    truth_baseline: Known = _optional_cells(
         "mean true unloaded cell resistance",
         positive_or_missing,
         value=_truth_baseline,
@@ -321,7 +322,7 @@ class Content(Validated):
         dataset="two_point_model",
         as_volt="reading_model",
     )
-    reading_sigma: Array | None = _optional_maps(
+    reading_sigma: Known = _optional_maps(
         "ohm",
         "standard deviation of a reading about the model's, noise and model error included",
         as_volt="reading_sigma",
@@ -356,12 +357,12 @@ class Content(Validated):
             (Witness.FAILED, "ipopt_reached_no_optimum"),
         ),
     )
-    verified_difference: Array | None = _optional_frames(
+    verified_difference: Known = _optional_frames(
         "1",
         "largest difference of ln r from the second solve; NaN without one",
         value=_of_witness("difference", np.nan),
     )
-    verified_decrease: Array | None = _optional_frames(
+    verified_decrease: Known = _optional_frames(
         "1",
         "decrease of the cost by the second solve, relative to the first; 0 unless that was lower",
         value=_of_witness("decrease", 0.0),
@@ -381,24 +382,24 @@ class Content(Validated):
     )
     # The uncertainty of an estimate; absent where the noise is unknown or error bars were not
     # requested.
-    cell_resistance_errors: Array | None = _deviation(
+    cell_resistance_errors: Known = _deviation(
         "ohm", "posterior standard deviation of the cell resistance"
     )
-    cell_resistance_lower: Array | None = _share("95 % interval, lower end", "ohm")
-    cell_resistance_upper: Array | None = _share("95 % interval, upper end", "ohm")
-    relative_change_errors: Array | None = _deviation(
+    cell_resistance_lower: Known = _share("95 % interval, lower end", "ohm")
+    cell_resistance_upper: Known = _share("95 % interval, upper end", "ohm")
+    relative_change_errors: Known = _deviation(
         "percent", "posterior standard deviation of the relative change"
     )
-    relative_change_lower: Array | None = _share("95 % interval, lower end", "percent")
-    relative_change_upper: Array | None = _share("95 % interval, upper end", "percent")
-    sigma_own: Array | None = _deviation("1", "standard deviation of ln r: each cell's own error")
-    sigma_common: Array | None = _deviation(
+    relative_change_lower: Known = _share("95 % interval, lower end", "percent")
+    relative_change_upper: Known = _share("95 % interval, upper end", "percent")
+    sigma_own: Known = _deviation("1", "standard deviation of ln r: each cell's own error")
+    sigma_common: Known = _deviation(
         "1", "standard deviation of ln r: error common to all cells, or to those of a line"
     )
-    resolution: Array | None = _share("diagonal of the averaging kernel")
-    data_share: Array | None = _share("share of the estimate that comes from the data")
-    error_bar_time: Array | None = _optional_frames("s", "wall time of the error bars")
-    baseline_resistance_errors: Array | None = _optional_cells(
+    resolution: Known = _share("diagonal of the averaging kernel")
+    data_share: Known = _share("share of the estimate that comes from the data")
+    error_bar_time: Known = _optional_frames("s", "wall time of the error bars")
+    baseline_resistance_errors: Known = _optional_cells(
         "posterior standard deviation of the unloaded cell resistance", not_negative
     )
     contacts: NamedValues = _figures("contact", _contacts, _of_contact, "ohm")

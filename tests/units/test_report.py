@@ -151,9 +151,9 @@ def test_a_slider_shows_the_maps_of_every_frame() -> None:
     assert shown.labels == tuple(
         f"frame {n} at {time:.4g} s" for n, time in zip(case.frame, case.time, strict=True)
     )
-    titles = [strip.title for strip in shown.strips]
+    titles = [*shown.strips]
     assert titles == ["measured", "estimated: LSM", "truth"]
-    images = [imread(BytesIO(b64decode(strip.uri.split(",")[1]))) for strip in shown.strips]
+    images = [imread(BytesIO(b64decode(uri.split(",")[1]))) for uri in shown.strips.values()]
     assert all(image.shape == (4 * 3, 5, 4) for image in images)
     changes = [np.nan_to_num(case.relative_change), images[1].reshape(4, 3, 5, 4)]
     strongest = np.unravel_index(np.argmax(changes[0]), (4, 3, 5))

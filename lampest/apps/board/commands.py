@@ -103,12 +103,12 @@ def _progress_line(at: "Progress") -> str:
 
 def _list_ports() -> None:
     """Print the serial ports, likely ones first."""
-    from lampest.apps.board.port import ports
+    from lampest.apps.board.port import ARDUINO_VENDORS, ports
 
     available = ports()
     for device in available:
-        remark = "  (looks like an Arduino)" if device.likely else ""
-        screen.say(f"{device.url}  {device.description}{remark}")
+        remark = "  (looks like an Arduino)" if device.vid in ARDUINO_VENDORS else ""
+        screen.say(f"{device.device}  {device.description or ''}{remark}")
     if not available:
         screen.say("there is no serial port", to=sys.stderr)
 

@@ -44,14 +44,6 @@ class UnwrittenError(InputError):
     """The disk takes no more frames, or the file of a growing recording is gone."""
 
 
-@dataclass(frozen=True)
-class Arrived:
-    """Sample that waits for the disk, with its role."""
-
-    sample: Sample
-    role: int
-
-
 @dataclass(eq=False)
 class Journal:
     """Open, growing recording file.
@@ -69,7 +61,7 @@ class Journal:
     until, last_time : float
         Arrival of the newest sample that HDF5 has in s since 1970-01-01 UTC, and its time in s.
     waiting : list
-        Samples that the disk does not have yet.
+        Samples that the disk does not have yet, each with its role.
     given : int
         Number of samples that HDF5 has written and the disk has not.
     refused_since : float or None
@@ -84,7 +76,7 @@ class Journal:
     frames: int = 0
     until: float = 0.0
     last_time: float = 0.0
-    waiting: list[Arrived] = field(default_factory=list)
+    waiting: list[tuple[Sample, int]] = field(default_factory=list)
     given: int = 0
     refused_since: float | None = None
     events: list[tuple[float, str]] = field(default_factory=list)
@@ -151,7 +143,7 @@ class Journal:
         """
         for number, sample in enumerate(samples):
             role = UNLOADED if number < unloaded else MEASURED
-            self.waiting.append(Arrived(sample, role))
+            self.waiting.append((sample, role))
             self.events += [(sample.time, label) for label in (*sample.events, *keys())]
         if not self.storage.in_place:
             raise UnwrittenError(
@@ -178,21 +170,17 @@ class Journal:
             if self.waiting and room:
                 unknown = np.full(self.scene.panel.shape, np.nan)
                 columns = [
-                    vars(arrived.sample.frame)
-                    | vars(arrived.sample)
-                    | {
-                        "recorded": arrived.sample.recorded,
-                        "role": arrived.role,
-                        "log_change": unknown
-                        if arrived.sample.frame.log_change is None
-                        else arrived.sample.frame.log_change,
-                    }
-                    for arrived in self.waiting
+                    {"log_change": unknown}
+                    | {name: held for name, held in vars(sample.frame).items() if held is not None}
+                    | vars(sample)
+                    | {"recorded": sample.recorded, "role": role}
+                    for sample, role in self.waiting
                 ]
                 names = ["recorded", *(path.split("/")[-1] for path, *_ in rows.datasets[1:])]
                 rows.append(self.file, [[column[name] for column in columns] for name in names])
-                self.until = self.waiting[-1].sample.host_time
-                self.last_time = self.waiting[-1].sample.time
+                last, _ = self.waiting[-1]
+                self.until = last.host_time
+                self.last_time = last.time
                 self.given = len(self.waiting)
                 self.waiting.clear()
             for moment, label in self.events:

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import count
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Any
 
 from serial.tools import list_ports
 
@@ -58,31 +58,11 @@ def prints_numbers(data: bytes) -> bool:
     return is_text(recent) and sum(48 <= byte < 58 for byte in recent) > MIN_DIGITS * len(recent)
 
 
-class PortName(NamedTuple):
-    """Serial port of this computer.
-
-    Attributes
-    ----------
-    url : str
-        Address to open.
-    description : str
-        The system's description.
-    likely : bool
-        Whether the port looks like an Arduino.
-    """
-
-    url: str
-    description: str
-    likely: bool
-
-
-def ports() -> tuple[PortName, ...]:
-    """Return all serial ports, those that look like an Arduino first."""
-    names = (
-        PortName(port.device, port.description or "", port.vid in ARDUINO_VENDORS)
-        for port in list_ports.comports()
+def ports() -> list[Any]:
+    """Return pyserial's descriptions of all serial ports, likely Arduinos first."""
+    return sorted(
+        list_ports.comports(), key=lambda port: (port.vid not in ARDUINO_VENDORS, port.device)
     )
-    return tuple(sorted(names, key=lambda port: (not port.likely, port.url)))
 
 
 def only_port() -> str:
@@ -90,7 +70,7 @@ def only_port() -> str:
 
     Raises InputError if there is none or more than one.
     """
-    likely = [port.url for port in ports() if port.likely]
+    likely: list[str] = [port.device for port in ports() if port.vid in ARDUINO_VENDORS]
     if len(likely) == 1:
         return likely[0]
     reason = "no port looks like an Arduino"

@@ -5,31 +5,26 @@ Cases without error bars have none of them: the uncertainty of pressures require
 
 import numpy as np
 
-from lampest.runs.columns import FRAMES, MAPS, Column, known_if_solved, not_negative
+from lampest.runs.columns import FRAMES, MAPS, Check, Column, known_if_solved, not_negative
 
-DEVIATION = (not_negative, known_if_solved)
-PRESSURE = Column(
-    "pressure", MAPS, "kPa", "pressure of the load on the cell", checks=(known_if_solved,)
+
+def _kpa(name: str, words: str, *checks: Check) -> Column:
+    """Return a column of pressures, which are known where a frame is solved."""
+    return Column(name, MAPS, "kPa", words, checks=(*checks, known_if_solved))
+
+
+PRESSURE = _kpa("pressure", "pressure of the load on the cell")
+ERRORS = _kpa("pressure_errors", "standard deviation of the pressure", not_negative)
+OWN = _kpa(
+    "pressure_own", "standard deviation of the pressure: each cell's own error", not_negative
 )
-ERRORS = Column(
-    "pressure_errors", MAPS, "kPa", "standard deviation of the pressure", checks=DEVIATION
-)
-OWN = Column(
-    "pressure_own",
-    MAPS,
-    "kPa",
-    "standard deviation of the pressure: each cell's own error",
-    checks=DEVIATION,
-)
-COMMON = Column(
+COMMON = _kpa(
     "pressure_common",
-    MAPS,
-    "kPa",
     "standard deviation of the pressure: common error of all cells",
-    checks=DEVIATION,
+    not_negative,
 )
-LOWER = Column("pressure_lower", MAPS, "kPa", "95 % interval, lower end", checks=(known_if_solved,))
-UPPER = Column("pressure_upper", MAPS, "kPa", "95 % interval, upper end", checks=(known_if_solved,))
+LOWER = _kpa("pressure_lower", "95 % interval, lower end")
+UPPER = _kpa("pressure_upper", "95 % interval, upper end")
 SATURATED = Column(
     "saturated",
     MAPS,

@@ -101,7 +101,11 @@ class TareWatch:
             and (departure**2).mean(axis=1).max() < MAX_MEAN_SQUARE
         )
         significant = np.mean(mean[finite] ** 2) >= TWO_SIDED**2 * np.mean(noise**2) / half
-        if not (quiet and significant) or _stands_out(frames.mean(axis=0)):
+        # A load may show in one cell, or in the mean of four; NaN counts as 0.
+        cells = np.pad(np.nan_to_num(frames.mean(axis=0)), 1)
+        four = (cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]) / 4
+        loaded = np.abs(cells).max() > MAX_CHANGE or np.abs(four).max() > MAX_CHANGE_OF_FOUR
+        if loaded or not (quiet and significant):
             return None
         return np.where(finite, mean, np.nan)
 
@@ -114,13 +118,3 @@ def sigma_of_frames(frames: Array) -> Array:
     return np.asarray(
         MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames, axis=0)), axis=0) / np.sqrt(2)
     )
-
-
-def _stands_out(change: Array) -> bool:
-    """Return whether ln r/r0 (rows, columns) may show a load, in one cell or in the mean of four.
-
-    NaN counts as 0.
-    """
-    cells = np.pad(np.nan_to_num(change), 1)
-    four = (cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]) / 4
-    return bool(np.abs(cells).max() > MAX_CHANGE or np.abs(four).max() > MAX_CHANGE_OF_FOUR)

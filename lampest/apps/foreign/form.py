@@ -170,8 +170,7 @@ def lines_of_form(
     header = np.array([*form.header, *[""] * (fields.shape[1] - len(form.header))])
     titles = np.all(fields == header, axis=1)  # a restarted board repeats the header
     data &= ~titles
-    filled = np.arange(fields.shape[1]) < source.counts[:, None]
-    long = data & np.any(filled[:, form.width :] & (fields[:, form.width :] != ""), axis=1)
+    long = data & np.any(fields[:, form.width :] != "", axis=1)
     # Only the empty fields at the end may be left out.
     ended = (source.counts >= form.width) & (fields[:, form.width - 1] != "")
     short = data & (source.counts < form.usual) & ~ended & ~separated & (not source.padded)

@@ -337,13 +337,13 @@ def _rows_in_lines(table: ReadingsTable, shape: Shape) -> TableLayout:
             # More than a few texts that name no row of the panel, or a column, are refused.
             roles["row"] = labelled
             texts = table.fields[:, labelled]
-            lines = [line_of(text) or ("", -1) for text in texts]
             first = first_number(table, {"row": labelled}, shape)
             named_rows = places_named(table, {"row": labelled}, shape, first)
             bad = np.asarray(np.any(~within_panel(named_rows, shape), axis=1))
             if np.sum(bad & (texts != "")) > MAX_CUT * len(bad):
                 table.refuse(bad, labelled, f"{{0!r}} is none of the panel's {shape[0]} rows")
-            columns = np.array([re.fullmatch(COLUMN, word) is not None for word, _ in lines])
+            lines = map(line_of, texts)
+            columns = np.array([bool(line and re.fullmatch(COLUMN, line[0])) for line in lines])
             table.refuse(columns, labelled, "{0!r} names a column; `transpose` swaps the two")
     # Columns are in the order of the numbers in their names, or of the fields.
     names = table.names[extra:]

@@ -23,28 +23,15 @@ MISSING = (0.8, 0.8, 0.8, 1.0)  # grey, as on other maps
 
 
 @dataclass(frozen=True)
-class Strip:
-    """Maps of one quantity in every shown frame, one pixel a cell, frames from top to bottom.
-
-    Attributes
-    ----------
-    title : str
-    uri : str
-        Image of (frames·rows, columns) pixels as a data URI.
-    """
-
-    title: str
-    uri: str
-
-
-@dataclass(frozen=True)
 class AllFrames:
     """Maps of the frames of a recording.
 
     Attributes
     ----------
-    strips : tuple of Strip
-        Maps of the readings, of each estimator, and of the truth if it is known.
+    strips : dict
+        Title → maps of one quantity in every shown frame, one pixel a cell, frames from top to
+        bottom: an image of (frames·rows, columns) pixels as a data URI. The quantities are the
+        readings, the cells of each estimator, and the truth if it is known.
     bar : str
         Colour bar of all maps as a data URI.
     labels : tuple of str
@@ -57,7 +44,7 @@ class AllFrames:
         Number of frames that are not shown.
     """
 
-    strips: tuple[Strip, ...]
+    strips: dict[str, str]
     bar: str
     labels: tuple[str, ...]
     first: int
@@ -98,7 +85,7 @@ def all_frames(cases: Sequence[CaseResult], place: int) -> AllFrames | None:
         ticks=scale.ticks,
     )
     return AllFrames(
-        tuple(Strip(title, _image(change, scale)) for title, change in changes.items()),
+        {title: _image(change, scale) for title, change in changes.items()},
         data_uri(figure),
         tuple(f"frame {case.frame[n]} at {case.time[n]:.4g} s" for n in shown),
         int(np.flatnonzero(shown == place)[0]),

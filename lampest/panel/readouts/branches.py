@@ -38,6 +38,7 @@ from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import backtracked
 
+Solved = Callable[[Array], Network]  # cells (rows, columns) ohm → their solved network
 # ohm: uniform panels that are tried, each twice the one before
 LEVELS = np.geomspace(10.0, 1e8, 24)
 RANGE = 1e3  # cells lie within this factor of the uniform panel's
@@ -84,7 +85,7 @@ def misfit(solved: Network, measured: Array) -> float:
 
 
 def panels_alike(
-    network: Callable[[Array], Network],
+    network: Solved,
     measured: Array,
     firsts: Sequence[Array],
     upper: Array | float,
@@ -128,7 +129,7 @@ def panels_alike(
 
 
 def every_panel(
-    network: Callable[[Array], Network],
+    network: Solved,
     measured: Array,
     firsts: Sequence[Array],
     limits: tuple[Array, Array],
@@ -167,9 +168,7 @@ def every_panel(
     return panels
 
 
-def _beyond_folds(
-    network: Callable[[Array], Network], measured: Array, cells: Array, driven_axis: int
-) -> list[Array]:
+def _beyond_folds(network: Solved, measured: Array, cells: Array, driven_axis: int) -> list[Array]:
     """Return panels with one driven line beyond its fold.
 
     The line has cells larger or smaller by one factor, with which it has its median reading again.
@@ -209,7 +208,7 @@ def _log_evidence(solved: Network) -> float:
 
 
 def matching_cells(
-    network: Callable[[Array], Network], measured: Array, first: Array, least: Array, most: Array
+    network: Solved, measured: Array, first: Array, least: Array, most: Array
 ) -> Array:
     """Return cells between two limits that reproduce the readings as well as possible.
 
@@ -231,9 +230,7 @@ def matching_cells(
     return np.exp(solve(network, measured, start, lower, upper))
 
 
-def _by_matrix(
-    network: Callable[[Array], Network], measured: Array, start: Array, lower: Array, upper: Array
-) -> Array:
+def _by_matrix(network: Solved, measured: Array, start: Array, lower: Array, upper: Array) -> Array:
     """Return log cells by the Levenberg–Marquardt method."""
     counted = np.isfinite(measured)
 
@@ -248,9 +245,7 @@ def _by_matrix(
     return position.reshape(measured.shape)
 
 
-def _by_products(
-    network: Callable[[Array], Network], measured: Array, start: Array, low: Array, high: Array
-) -> Array:
+def _by_products(network: Solved, measured: Array, start: Array, low: Array, high: Array) -> Array:
     """Return log cells by Newton's method with products of J."""
 
     def at(position: Array) -> tuple[Array, Network, Array, Array]:

@@ -140,15 +140,6 @@ class Unmodelled(Extensible):
         check_ranges(self, 0, 0.999, "reference_tolerance", "response_loss")
         check_positive_fields(self, "leak_ohm")
 
-    @property
-    def needs_converter(self) -> tuple[str, ...]:
-        """Names of the present effects that need a readout in the scene."""
-        names = (
-            "reference_tolerance outlier_probability noise_factor saturation supply_ripple_lsb "
-            "gain_spread inl_lsb"
-        )
-        return tuple(name for name in names.split() if getattr(self, name))
-
 
 def random_stream(seed: int, purpose: str) -> np.random.Generator:
     """Return a random generator for one purpose, independent of draws for others."""

@@ -40,6 +40,11 @@ from lampest.recording.simulation.measure import (
 # Two cells of the usual panel: a moving load that starts in the middle stays on the panel.
 TRAVEL_MM = 20.0
 PUMPED_S = 1.0  # duration of a pump, or of the pull before a release; an assumption
+# Effects of `unmodelled` that need a readout in the scene.
+NEED_CONVERTER = (
+    "reference_tolerance outlier_probability noise_factor saturation supply_ripple_lsb "
+    "gain_spread inl_lsb"
+)
 MOMENTS = 8  # time steps of the film's memory within a frame period
 
 
@@ -203,7 +208,8 @@ class Simulation(Configuration):
         check_range("frame_period_s", self.frame_period_s, 1e-9, 1e8, " s")
         film = self.film or self.scene.film
         digital = self.scene.readout is not None
-        electronic = ", ".join(self.unmodelled.needs_converter)
+        names = (name for name in NEED_CONVERTER.split() if getattr(self.unmodelled, name))
+        electronic = ", ".join(names)
         late = self.course.start_s > -self.frame_period_s
         auto = film is not None and "auto" in (film.hysteresis, film.creep_per_decade)
         for right, message in (

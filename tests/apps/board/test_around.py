@@ -64,7 +64,7 @@ def test_ports_that_look_like_an_arduino_come_first(monkeypatch: pytest.MonkeyPa
         ([modem, mega, usb_serial], None),
     ):
         monkeypatch.setattr(port.list_ports, "comports", lambda present=present: present)
-        assert port.ports()[-1].url == modem.device
+        assert port.ports()[-1].device == modem.device
         if url:
             assert port.only_port() == url
         else:
