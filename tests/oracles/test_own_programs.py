@@ -386,7 +386,7 @@ def test_sensitivities_to_what_was_given_equal_differences(
         def cells(step: float, place: int = place) -> Any:
             return with_given(program, name, place, step).solve().cell_resistance.ravel()
 
-        expected = difference(cells, 0.03 * size[place] if name == "sigma" else 0.3)
+        expected = difference(cells, 0.1 * size[place] if name == "sigma" else 0.3)
         largest = np.abs(sensitivity[:, place]).max()
         assert_allclose(sensitivity[:, place], expected, atol=1e-6 * largest)
 
