@@ -97,29 +97,50 @@ def _likely_alternatives(
 ) -> list[Explanation]:
     """Return the MAX_CANDIDATES best explanations by alternatives, better ones than the scene's.
 
-    Of each number that alternatives have to estimate there is one more. Its values are tried from
-    the weakest hold on, while they are no worse than the best by more than DOUBTFUL_GAIN: the
-    evidence has one maximum. Alternatives whose inequalities the readings break are not fitted. A
-    resistance in series only makes these inequalities narrower, so that they are tested without
-    one.
+    Of each number that alternatives have to estimate there is one more.
+    """
+    # Circuits that only exchange the names of lines have the evidence of the scene's.
+    limit = np.inf if specified is None else specified.linear_evidence - SAME_COST
+    explanations = _by_alternatives(frames, specified, limit)
+    better = [explanation for explanation in explanations if explanation.linear_evidence < limit]
+    # Circuits that differ in words alone keep the order in which they are tried.
+    better = sorted(better, key=lambda each: round(each.linear_evidence, COST_DIGITS))
+    best = [each for each in better if not each.alternative.number][:MAX_CANDIDATES]
+    # Of each number that is to be estimated the tried value with the largest evidence.
+    numbers = {each.alternative.number: each for each in reversed(better)}
+    best += [explanation for number, explanation in numbers.items() if number]
+    return [explanation.final for explanation in best]
+
+
+def _by_alternatives(
+    frames: ComparedFrames, specified: Explanation | None, limit: float
+) -> list[Explanation]:
+    """Return the explanations by alternatives; with the resistance in series that some need.
+
+    Values of an open number are tried from the weakest hold on, while they are no worse than the
+    best by more than DOUBTFUL_GAIN: the evidence has one maximum. Alternatives whose inequalities
+    the readings break are not fitted. A resistance in series only makes these inequalities
+    narrower, so that they are tested without one.
+
+    Parameters
+    ----------
+    frames : ComparedFrames
+    specified : Explanation or None
+    limit : float
+        −2 ln evidence from which on explanations do not count.
     """
     change = changes_beyond_noise(frames.specified.scene, frames.specified.readings, frames.role)
     mostly_increases = bool(change.max(initial=0.0) > -change.min(initial=0.0))
-    # Circuits that only exchange the names of lines have the evidence of the scene's.
-    limit = np.inf if specified is None else specified.linear_evidence - SAME_COST
-    alternatives = [
-        alternative
-        for alternative in (
-            *alternatives_of(frames.specified, reversed_too=mostly_increases),
-            *other_converters(frames.specified, reversed_too=mostly_increases),
-        )
-        # Readings that the scene's circuit cannot give may be wrong ones, which some circuit gives
-        # with a number that is to be estimated.
-        if not (specified is None and alternative.number)
-    ]
     explanations = list[Explanation]()
     failed = list[tuple[Alternative, tuple[CellsFit, ...]]]()
-    for alternative in alternatives:
+    for alternative in (
+        *alternatives_of(frames.specified, reversed_too=mostly_increases),
+        *other_converters(frames.specified, reversed_too=mostly_increases),
+    ):
+        # Readings that the scene's circuit cannot give may be wrong ones, which some circuit gives
+        # with a number that is to be estimated.
+        if specified is None and alternative.number:
+            continue
         least = np.inf
         for tried in alternative.with_tried_numbers:
             if broken_law(without_series(tried), frames):
@@ -149,14 +170,7 @@ def _likely_alternatives(
             None if down is None else Explanation.of(down, frames),
         )
         explanations += [found for found in further if found]
-    better = [explanation for explanation in explanations if explanation.linear_evidence < limit]
-    # Circuits that differ in words alone keep the order in which they are tried.
-    better = sorted(better, key=lambda each: round(each.linear_evidence, COST_DIGITS))
-    best = [each for each in better if not each.alternative.number][:MAX_CANDIDATES]
-    # Of each number that is to be estimated the tried value with the largest evidence.
-    numbers = {each.alternative.number: each for each in reversed(better)}
-    best += [explanation for number, explanation in numbers.items() if number]
-    return [explanation.final for explanation in best]
+    return explanations
 
 
 def _without_twins(candidates: Sequence[Explanation]) -> list[Explanation]:
