@@ -112,9 +112,10 @@ def test_several_panels_have_readings_that_rise_and_fall() -> None:
     # Idle lines yield more than the driven one
     yielding = DrivenReadout(idle_ohm=3300.0, drive_ohm=50.0, load_ohm=1000.0)
     assert not several_panels(yielding, *SHAPE)
-    # Idle driven lines are held as hard as the driven one
+    # Idle driven lines are held as hard as the driven one, or some sensed ones are
     groups = ((0, 1, 2), (3, 4, 5))
     assert several_panels(DrivenReadout(**BOTH, groups=groups), *SHAPE)
+    assert several_panels(DrivenReadout(**SENSED, groups=groups), *SHAPE)
     assert not several_panels(DrivenReadout(idle_ohm=0.0, drive_ohm=0.0), *SHAPE)
     assert not several_panels(lampest.LoadedColumnsReadout(drive_ohm=470.0), *SHAPE)
 
@@ -156,11 +157,12 @@ def test_random_circuits_have_clear_and_right_panels_or_a_doubt() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [262046, 262163])
+@pytest.mark.parametrize("seed", [262046, 262163, 462074])
 def test_a_panel_beyond_the_fold_of_all_lines_is_found(seed: int) -> None:
     """One has cells of 0.7 times the right ones, and another circuit explained its load better.
 
-    In the other one the driven line has the resistance of the idle ones, and a short.
+    In the second one the driven line has the resistance of the idle ones, and a short. In the third
+    one sensed lines are read in groups, whose idle lines are held.
     """
     drawn = sound(seed, drifts=False)
     assert drawn is not None

@@ -177,7 +177,7 @@ def several_panels(circuit: SolvableCircuit, rows: int, columns: int) -> bool:
     sensing = equation.sensing
     # All sensed lines have the load of the one that is read where nothing else holds them.
     held = np.isfinite(equation.driving.base.ohm).any() or np.any(
-        np.isfinite(sensing.base.ohm) & (sensing.base.ohm != sensing.own.ohm)
+        np.isfinite(sensing.bases.ohm) & (sensing.bases.ohm != sensing.own.ohm)
     )
     if not held or unseen_scales(circuit, rows, columns):
         return False
