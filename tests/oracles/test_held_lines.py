@@ -173,6 +173,19 @@ def test_a_panel_beyond_the_fold_of_all_lines_is_found(seed: int) -> None:
         assert abs(np.median(np.log(cells / right))) < 0.02
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [562022, 562034, 562037])
+def test_estimates_stay_at_the_chosen_panel_though_another_one_costs_less(seed: int) -> None:
+    """Cells of the other one are 30 to 70 times as large."""
+    drawn = sound(seed, drifts=False)
+    assert drawn is not None
+    truth = drawn[1].truth_cell_resistance
+    estimate = lampest.reconstruct(drawn[1])
+    assert truth is not None
+    for cells, right in zip(estimate.cell_resistance, truth[-3:], strict=True):
+        assert abs(np.nanmedian(np.log(cells / right))) < 0.15
+
+
 @pytest.mark.slow
 def test_creep_is_not_advised_where_another_panel_may_be_meant() -> None:
     drawn = sound(262175, drifts=False)
