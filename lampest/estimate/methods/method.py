@@ -142,7 +142,7 @@ class Method(Configuration):
                 start = panels[0][1]
         elif several and state.rested and readings.plain.all():
             start = self._nearest_panel(state, start, data, readings)
-        if several and state.panels is not None:
+        if several and start is not None:
             # Other starts end at other panels, which may have less cost.
             data = replace(data, first=False)
         return data, None if start is None else np.clip(start, data.lower[0], data.upper[0])[None]

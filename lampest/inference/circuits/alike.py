@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 
 from lampest.files.errors import BROKEN
-from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted
+from lampest.inference.cells_fit import CellsFit, data_of_cells, fitted, well_determined
 from lampest.inference.evidence import mostly_still
 from lampest.inference.pair import FittedPair
 from lampest.panel.panel import Array
@@ -45,7 +45,7 @@ class PanelChoice:
         Cells of one of the two frames in the next best pair, ohm; None where no other pair is
         known.
     clear : bool
-        Whether the next best pair is ruled out.
+        Whether the next best pair is ruled out, and the readings determine the cells.
     """
 
     resting: Array
@@ -78,7 +78,8 @@ class PanelChoice:
             return None
         pairs.sort(key=itemgetter(0))
         (cost, best), *others = pairs
-        clear = mostly_still(best.moved)
+        # Beside a fold readings hardly depend on some cells, so that still other ones give them.
+        clear = mostly_still(best.moved) and well_determined(best.frames)
         other = None
         if others:
             second_cost, second = others[0]
@@ -96,8 +97,8 @@ class PanelChoice:
         cure = "with a smaller drive_ohm they differ"
         if self.other is None:
             return (
-                "between the unloaded and the loaded readings most cells have changed: "
-                f"other cells may give these readings; {cure}"
+                "other cells may give these readings, too: the readings hardly determine them, or "
+                f"most have changed since the unloaded frames; {cure}"
             )
         chosen, other = (float(np.median(cells)) for cells in (self.resting, self.other))
         return (
@@ -136,7 +137,9 @@ def _distinct_fits(scene: Scene, readings: Readings, panels: Sequence[Array]) ->
 
 
 def _differ(fit: CellsFit, other: CellsFit) -> bool:
-    """Return whether a cell of two fits differs by more than CHANGE and noise."""
+    """Return whether two fits lie on two sides of a fold, or a cell differs by more than noise."""
+    if fit.network.branch != other.network.branch:
+        return True
     variance = np.diag(fit.covariance) + np.diag(other.covariance)
     change = np.log(fit.cells / other.cells).ravel()
     return bool((np.abs(change) > np.hypot(CHANGE, NOISE_RANGE * np.sqrt(variance))).any())
