@@ -79,7 +79,8 @@ class PanelChoice:
         pairs.sort(key=itemgetter(0))
         (cost, best), *others = pairs
         # Beside a fold readings hardly depend on some cells, so that still other ones give them.
-        clear = mostly_still(best.moved) and well_determined(best.frames)
+        determined = all(well_determined([frame]) for frame in best.frames)
+        clear = mostly_still(best.moved) and determined
         other = None
         if others:
             second_cost, second = others[0]
