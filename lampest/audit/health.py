@@ -239,7 +239,9 @@ def _equal_lines(view: _View) -> Iterator[Finding]:
             repeated = []
             for group in unknown:
                 lower = _is_lower(view, name, group, groups)
-                if lower or (lower is None and structured and len(unknown) == 1):
+                # Where many lines are nearly equal some groups of them are lower by chance.
+                alone = len(unknown) == 1
+                if (lower and (structured or alone)) or (lower is None and structured and alone):
                     yield Finding(
                         "lines",
                         f"{name}s {', '.join(map(str, group))} are shorted",
