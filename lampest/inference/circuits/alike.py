@@ -69,6 +69,8 @@ class PanelChoice:
         ]
         before = _distinct_fits(scene, resting, starts)
         after = _distinct_fits(scene, loaded, starts)
+        before += _continued(scene, resting, after, before)
+        after += _continued(scene, loaded, before, after)
         pairs = []
         for frames in product(before, after):
             with suppress(*BROKEN):
@@ -135,6 +137,26 @@ def _distinct_fits(scene: Scene, readings: Readings, panels: Sequence[Array]) ->
         if fit is not None and all(_differ(fit, known) for known in distinct):
             distinct.append(fit)
     return distinct
+
+
+def _continued(
+    scene: Scene, readings: Readings, others: Sequence[CellsFit], known: Sequence[CellsFit]
+) -> list[CellsFit]:
+    """Return fits of a frame on sides of a fold where only the other frame has one.
+
+    The search begins at the other frame's cells, and takes as long as it needs.
+    """
+    found = {float(fit.network.branch) for fit in known}
+    continued = list[CellsFit]()
+    for other in others:
+        side = float(other.network.branch)
+        if side in found:
+            continue
+        fit = fitted(scene, readings, other.cells, patient=True)
+        if fit is not None and fit.within_noise and float(fit.network.branch) == side:
+            continued.append(fit)
+            found.add(side)
+    return continued
 
 
 def _differ(fit: CellsFit, other: CellsFit) -> bool:
