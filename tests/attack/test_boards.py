@@ -135,7 +135,7 @@ def send_for(seconds: float, send: Callable[[Any], object]) -> None:
     """Send frames."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        send(frame(1, 2))
+        send(frame(1, (2, 2)))
         time.sleep(0.03)
 
 
