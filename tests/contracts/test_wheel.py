@@ -89,7 +89,7 @@ def test_three_commands_lead_from_the_wheel_to_a_picture(dist: Path, tmp_path: P
         )
         assert here == there
     assert read_run(shipped / "configs" / "table1.yaml").cases
-    entries = ("sizes=[2]", "frames=1", "repeats=1", "recordings=1", "memory=[]")
+    entries = ("sizes=[2]", "frames=1", "repeats=1", "recordings=1")
     table = run(
         *lampest, "study", "bench", *(word for entry in entries for word in ("--set", entry))
     )

@@ -8,7 +8,6 @@ import pytest
 
 import lampest
 from lampest import DrivenReadout, GroundedReadout, LoadedColumnsReadout, Panel, Scene
-from lampest.files.levels import DOUBTFUL_GAIN
 from lampest.inference import cells_fit
 from lampest.inference.cells_fit import LEAST_SQUARES, CellsFit, data_of_cells, fitted
 from lampest.inference.circuits import better_alternative, explanation, parameters
@@ -132,7 +131,7 @@ def test_values_of_an_open_number_that_are_not_tried_have_less_evidence(idle_ohm
     for alternative in open_numbers:
         found = [Explanation.of(each, question) for each in alternative.with_tried_numbers]
         costs = [inf if each is None else each.linear_evidence for each in found]
-        beyond = np.less(np.minimum.accumulate(costs) + DOUBTFUL_GAIN, costs)
+        beyond = np.less(np.minimum.accumulate(costs) + explanation.FAR, costs)
         tried = int(np.argmax(beyond)) + 1 if beyond.any() else len(costs)
         assert min(costs[tried:], default=inf) >= min(costs[:tried])
 

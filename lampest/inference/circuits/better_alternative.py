@@ -21,6 +21,7 @@ from lampest.inference.circuits.alternatives import (
     rounded_down,
 )
 from lampest.inference.circuits.explanation import (
+    FAR,
     ComparedFrames,
     Explanation,
     alternative_fits,
@@ -118,7 +119,7 @@ def _by_alternatives(
     """Return the explanations by alternatives; with the resistance in series that some need.
 
     Values of an open number are tried from the weakest hold on, while they are no worse than the
-    best by more than DOUBTFUL_GAIN: the evidence has one maximum. Alternatives whose inequalities
+    best by more than FAR: the evidence has one maximum. Alternatives whose inequalities
     the readings break are not fitted. A resistance in series only makes these inequalities
     narrower, so that they are tested without one.
 
@@ -152,7 +153,7 @@ def _by_alternatives(
                 failed.append((tried, fits))
                 continue
             explanations.append(explanation)
-            if explanation.linear_evidence > least + DOUBTFUL_GAIN:
+            if explanation.linear_evidence > least + FAR:
                 break
             least = min(least, explanation.linear_evidence)
     # A search for a resistance in series costs several fits: last, so that it ends where it cannot

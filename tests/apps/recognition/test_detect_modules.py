@@ -150,20 +150,24 @@ def test_breath_is_judged_in_uninterrupted_windows() -> None:
 
 
 @pytest.mark.slow
-def test_a_cup_in_waves_does_not_breathe(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cups_in_waves_hardly_breathe(monkeypatch: pytest.MonkeyPatch) -> None:
     """Waves of 0.2 kPa at 0.7 Hz change all cells.
 
     Under a load they do by other parts than those that readings share.
     """
+    breathes = []
 
     def in_waves(pressure: Array) -> Array:
         wave = 0.2 * np.sin(2 * np.pi * 0.7 * 0.25 * np.arange(len(pressure)))
         return ratio_from_pressure(pressure + wave[:, None, None])
 
     monkeypatch.setitem(CURVES, "published", in_waves)
-    answer = answered(recording("cup", 4.0, 777000)[0])
-    assert answer.answer in (CUP, SUCKS)
-    assert answer.chosen is not None and answer.chosen.breathes < 0.5
+    for seed in range(777000, 777004):
+        answer = answered(recording("cup", 4.0, seed)[0])
+        assert answer.answer in (CUP, SUCKS)
+        assert answer.chosen is not None
+        breathes.append(answer.chosen.breathes)
+    assert np.median(breathes) < 0.3 and max(breathes) < 0.75
 
 
 @pytest.mark.slow
