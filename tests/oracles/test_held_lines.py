@@ -176,7 +176,7 @@ def test_a_panel_beyond_the_fold_of_all_lines_is_found(seed: int) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [562022, 562034, 562037, 862055])
 def test_estimates_stay_at_the_chosen_panel_though_another_one_costs_less(seed: int) -> None:
-    """Cells of the other one are 30 to 70 times as large.
+    """Cells of the other one are 30 to 400 times as large.
 
     In the last one the loaded panel is found from the unloaded one alone.
     """
