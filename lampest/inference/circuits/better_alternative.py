@@ -119,9 +119,9 @@ def _by_alternatives(
     """Return the explanations by alternatives; with the resistance in series that some need.
 
     Values of an open number are tried from the weakest hold on, while they are no worse than the
-    best by more than FAR: the evidence has one maximum. Alternatives whose inequalities
-    the readings break are not fitted. A resistance in series only makes these inequalities
-    narrower, so that they are tested without one.
+    best by more than FAR: the evidence has one maximum, but for ripples below FAR. Alternatives
+    whose inequalities the readings break are not fitted. A resistance in series only makes these
+    inequalities narrower, so that they are tested without one.
 
     Parameters
     ----------
