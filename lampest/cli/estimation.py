@@ -158,7 +158,7 @@ def refuse_large(cases: "Sequence[Case]") -> None:
     panels: dict[Path, Panel] = {}
     for path in {case.path for case in cases}:
         # An unreadable recording fails later, as a case of its own.
-        with suppress(InputError), recording_file(path) as (_, scene, _, _):
+        with suppress(InputError), recording_file(path) as (_, scene, _):
             panels[path] = scene.panel
     for case in cases:
         if case.path not in panels:

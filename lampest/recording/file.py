@@ -37,12 +37,14 @@ from lampest.recording.acquisition import (
 
 # Key of `systematic: {series_tolerance_ohm}` in recordings of version 0.1.
 FORMER_SERIES = "series_ohm"
+# Dataset of two-point readings with groups in recordings of version 0.1.
+FORMER_SIGNAL = "two_point/volt"
 SIMULATION = "/entry/truth/simulation"
 
 
 @contextmanager
-def recording_file(path: Path) -> Iterator[tuple[File, Scene, str, str]]:
-    """Yield an open recording file, its scene, the group of its frames and their signal.
+def recording_file(path: Path) -> Iterator[tuple[File, Scene, str]]:
+    """Yield an open recording file, its scene and the path of its readings.
 
     Raises InputError if the file is no recording, or has no valid scene.
     """
@@ -62,11 +64,19 @@ def recording_file(path: Path) -> Iterator[tuple[File, Scene, str, str]]:
             zero = steps * readout.lsb_volt
             converter = Characteristic(zero_volt=zero, full_volt=readout.full_scale_volt + zero)
             scene = replace(scene, readout=replace(readout, converter=converter))
-        group = f"/entry/{group_of(scene.circuit)}"
-        signal = scene.circuit.signal
-        if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
-            raise InputError(f"{path}: {group}/{signal} must be frames × rows × columns")
-        yield file, scene, group, signal
+        readings = _places(file, scene)["recorded"]
+        if len(hdf5.shape_of(file, readings)) != 3:
+            raise InputError(f"{path}: {readings} must be frames × rows × columns")
+        yield file, scene, readings
+
+
+def _places(file: File, scene: Scene) -> dict[str, str]:
+    """Return the paths of datasets in a file, by field of a `Recording`."""
+    fields = stored_fields(scene.circuit).items()
+    places = {field: f"/entry/{path}" for field, (path, *_) in fields}
+    if not hdf5.has(file, places["recorded"]) and hdf5.has(file, f"/entry/{FORMER_SIGNAL}"):
+        places["recorded"] = f"/entry/{FORMER_SIGNAL}"
+    return places
 
 
 @lru_cache(maxsize=8)  # a recording that is too long for memory is opened again for every part
@@ -100,8 +110,9 @@ def read_frames(file: File, scene: Scene, part: slice) -> dict[str, Any]:
     InputError
         If a dataset is invalid, with its path, or memory does not suffice.
     """
-    places = {field: f"/entry/{path}" for field, (path, *_) in stored_fields(scene.circuit).items()}
-    places = {field: place for field, place in places.items() if hdf5.has(file, place)}
+    places = {
+        field: place for field, place in _places(file, scene).items() if hdf5.has(file, place)
+    }
     chosen = part
     if part == hdf5.ALL:
         chosen = undamaged_frames(file, scene)

@@ -184,7 +184,7 @@ class Recording(Validated):
         dataset.
         """
         path = Path(path)
-        with recording_file(path) as (file, scene, _, _):
+        with recording_file(path) as (file, scene, _):
             fields = read_frames(file, scene, part)
             fields.setdefault("role", np.full(len(fields["recorded"]), MEASURED, dtype=np.uint8))
             return cls(scene, name=path.stem, **fields)

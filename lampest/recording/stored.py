@@ -54,10 +54,11 @@ class StoredRecording:
 
         Raises InputError if it is no recording, or its datasets disagree.
         """
-        with recording_file(path) as (file, scene, group, signal):
-            shape = hdf5.shape_of(file, f"{group}/{signal}")
+        with recording_file(path) as (file, scene, readings):
+            shape = hdf5.shape_of(file, readings)
             if not shape[0]:
-                raise InputError(f"{path}: {group}/{signal} holds no frame")
+                raise InputError(f"{path}: {readings} holds no frame")
+            group = f"/entry/{group_of(scene.circuit)}"
             end = undamaged_frames(file, scene).stop
             for axis in (f"{group}/time", f"{group}/role") if end is None else ():
                 if hdf5.has(file, axis) and hdf5.shape_of(file, axis) != shape[:1]:
@@ -184,6 +185,6 @@ def opened(path: Path) -> Recording | StoredRecording:
 
     Raises InputError as `Recording.load`.
     """
-    with recording_file(path) as (file, _, group, signal):
-        readings = prod(hdf5.shape_of(file, f"{group}/{signal}"))
-    return StoredRecording.of(path) if readings > MAX_READINGS else Recording.load(path)
+    with recording_file(path) as (file, _, readings):
+        number = prod(hdf5.shape_of(file, readings))
+    return StoredRecording.of(path) if number > MAX_READINGS else Recording.load(path)

@@ -33,6 +33,7 @@ from lampest import (
 from lampest.audit.advice import verdict
 from lampest.cost.terms import LogGradient, LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
+from lampest.files.checksums import DATASETS
 from lampest.files.levels import Witness
 from lampest.inference.prepared import Prepared
 from lampest.panel.lines import SeriesPerLine
@@ -340,6 +341,22 @@ def test_a_recording_and_its_results_have_the_unit_volt(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "results.h5") as file:
         assert file["/entry/panel/LSM/reading_model"].attrs["units"] == b"volt"
         assert file["/entry/panel/recording/volt"].attrs["units"] == b"volt"
+
+
+def test_two_point_readings_of_groups_are_stored_as_resistance(tmp_path: Path) -> None:
+    grouped = replace(TWO_POINT, groups=((0, 2, 4), (5, 1, 3)))
+    scene = Scene(Panel(5, 6), grouped, 60.0, systematic="none")
+    recording = recording_of(scene, np.full((2, 5, 6), 1500.0), 1)
+    path = tmp_path / "grouped.h5"
+    recording.save(path)
+    with h5py.File(path, "r+") as file:
+        group = file["/entry/two_point"]
+        assert group.attrs["signal"] == b"resistance" and "volt" not in group
+        stored = group["resistance"].attrs
+        assert stored["units"] == b"ohm" and stored["long_name"].startswith(b"two-point resistance")
+        group.move("resistance", "volt")  # as version 0.1 wrote it
+        del file.attrs[DATASETS]
+    assert_allclose(Recording.load(path).recorded, recording.recorded)
 
 
 def cells_of(seed: int = 3, shape: tuple[int, int] = SHAPE) -> Array:

@@ -315,7 +315,7 @@ def repair(path: Path) -> tuple[int, int]:
     if is_locked(path):
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
-        with recording_file(path) as (file, scene, _, _):
+        with recording_file(path) as (file, scene, _):
             rows = Rows.of_file(file, scene.circuit)
             intact = rows.undamaged(file)
             if len(intact) and not intact.any():

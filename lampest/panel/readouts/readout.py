@@ -110,8 +110,8 @@ class Readout(Completed, ABC):
         driven line.
     unit : {'ohm', 'volt'}
         Unit of a reading.
-    signal, signal_name : str
-        Dataset in files, and its long name.
+    signal_name : str
+        Long name of the dataset of readings in files.
     of_driven, of_sensed : tuple of str
         Keys of numbers of driven, and of sensed lines; the first one of sensed lines is the
         reference resistor of a reading.
@@ -126,7 +126,6 @@ class Readout(Completed, ABC):
     """
 
     unit: ClassVar[str] = "volt"
-    signal: ClassVar[str] = "volt"
     signal_name: ClassVar[str] = "voltage at the converter"
     of_driven: ClassVar[tuple[str, ...]] = ("drive_ohm",)
     of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm",)
@@ -213,6 +212,11 @@ class Readout(Completed, ABC):
     @abstractmethod
     def description(self) -> str:
         """Return the circuit and its numbers with their units, in words."""
+
+    @property
+    def signal(self) -> str:
+        """Name of the dataset of readings in files, 'resistance' or 'volt'."""
+        return "resistance" if self.unit == "ohm" else "volt"
 
     @cached_property
     def two_point(self) -> bool:

@@ -19,6 +19,8 @@ from lampest.panel.readouts.readout import Readout, Surroundings
 from lampest.panel.readouts.starts import SHORT_SHARE
 from lampest.panel.readouts.wiring import Wiring
 
+SIGNAL_NAME = "two-point resistance, divider equation"
+
 
 def divider_in_words(readout: "TwoPointReadout | ParallelDividers") -> str:
     """Return the circuit of dividers and its numbers with their units, in words."""
@@ -161,8 +163,7 @@ class TwoPointReadout(Readout):
     """
 
     unit = "ohm"
-    signal = "resistance"
-    signal_name = "two-point resistance, divider equation"
+    signal_name = SIGNAL_NAME
     of_driven = ()
     of_sensed = ("reference_ohm",)
     kind: Literal["two_point"] = "two_point"
@@ -220,6 +221,7 @@ class ParallelDividers(Readout):
     """
 
     unit = "ohm"
+    signal_name = SIGNAL_NAME
     of_driven = ("row_ohm",)
     of_sensed = ("reference_ohm", "column_ohm")
     may_be_zero = ("row_ohm", "column_ohm")
