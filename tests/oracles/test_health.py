@@ -392,6 +392,17 @@ def test_the_order_of_isolated_cells_is_not_doubted() -> None:
     assert doubted <= 1
 
 
+def test_rows_of_a_rim_that_keep_their_mean_tell_no_length_of_the_rows() -> None:
+    """Beside suction a rim lowers cells as much as suction raises them, on each row by chance."""
+    image = np.zeros((6, 12))
+    image[2:5, 6:10] = [
+        [-0.88, 0.85, 0.71, -0.73],
+        [-0.75, 0.87, 0.85, -0.94],
+        [-0.89, 0.87, 0.76, -0.76],
+    ]
+    assert smoother_order(image[None]) is None
+
+
 def test_a_bar_across_the_panel_tells_no_length_of_the_rows() -> None:
     """Three full rows of four readings are one of twelve."""
     image = np.zeros((12, 4))

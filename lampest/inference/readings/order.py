@@ -17,8 +17,11 @@ part is a smooth Gaussian process over the lines beside a roughness that knows n
     cov = s² (K/mean(diag K) + ρ),   K = C exp(−(i − j)²/(2 ℓ²)) C,   C = 1 − 1 1ᵀ/n,
 
 with K_rows ⊗ K_columns for the interaction. The scale s is integrated out by its maximum, ℓ and ρ
-over a few values, equally probable. An order is found where its odds against all others that are
-tried, and against the scene's, are a thousand to one.
+over a few values, equally probable. The scale of a part is at least what an interaction of
+independent cells leaves in the means of lines: where a load lowers the cells of each line as much
+as it raises others, as suction beside a rim does, that is a coincidence and no order. An order is
+found where its odds against all others that are tried, and against the scene's, are a thousand to
+one.
 
 A load in one place may be like one in another order: two feet half a panel apart are one smooth
 load where odd and even lines are apart, an edge between two lines is one where they are swapped.
@@ -446,21 +449,24 @@ def smooth_costs(images: Array, steps: tuple[int, int] = (1, 1)) -> Array:
         values, rows = _smooth_modes(images.shape[1], length, steps[0])
         across, columns = _smooth_modes(images.shape[2], length, steps[1])
         within = (rows.T @ images @ columns).reshape(len(images), -1)
+        least = np.mean(within**2, axis=1)
         parts = (
-            (by_rows @ rows, values),
-            (by_columns @ columns, across),
-            (within, np.outer(values, across).ravel()),
+            (by_rows @ rows, values, least / images.shape[2]),
+            (by_columns @ columns, across, least / images.shape[1]),
+            (within, np.outer(values, across).ravel(), least),
         )
-        for of_part, (amplitudes, variances) in zip(costs, parts, strict=True):
-            # n ln(Σ x²/λ / n) + Σ ln λ,   λ = variances over their mean + ρ; 1 without an order
+        for of_part, (amplitudes, variances, smallest) in zip(costs, parts, strict=True):
+            # n ln s² + Σ x²/(λ s²) − n + Σ ln λ,   λ = variances over their mean + ρ; 1 without an
+            # order
             roughness = np.array(ROUGHNESS)[:, None]
             relative = np.where(
                 np.isfinite(roughness), variances / variances.mean() + roughness, 1.0
             )
             count = len(variances)
             squares = (1 / relative) @ (amplitudes**2).T / count
+            scale = np.maximum(squares, np.maximum(smallest, np.finfo(float).tiny))
             of_part += list(
-                count * np.log(np.maximum(squares, np.finfo(float).tiny))
+                count * (np.log(scale) + squares / scale - 1)
                 + np.log(relative).sum(axis=1, keepdims=True)
             )
     of_parts = [-2 * np.logaddexp.reduce(-np.array(part) / 2, axis=0) for part in costs]
