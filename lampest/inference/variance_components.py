@@ -54,6 +54,7 @@ MEDIAN_EFFICIENCY = 0.37
 MIN_SHRUNK_FREEDOM = 3.0  # degrees of a shrunk covariance: Student's t has no variance with two
 # Of the root mean square of two differences that share a frame, over √2 σ (by simulation).
 PAIR_MEDIAN = 0.7960
+MAX_STILL_ROUNDS = 10  # of the choice of still readings, which mostly takes three
 NO_RIPPLE = np.zeros((1, 0))  # root of the covariance, for any number of channels
 
 
@@ -163,9 +164,10 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
 
     The result is None without three frames or without rest. Of three successive frames the second
     difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform motion. Its median
-    over the readings is that of the readings at rest, and only the quietest quarter of the triples
-    counts. Where first differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and
-    the scatter is only an upper bound: it is then not taken for noise above the specified one.
+    over the still readings is that of noise, and only the quietest quarter of the triples counts.
+    A reading is still if its difference is within NOISE_REACH of this noise. Where first
+    differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is only
+    an upper bound: it is then not taken for noise above the specified one.
     """
     value = measured.plain_values
     sigma = measured.known_sigma[1:-1]
@@ -178,13 +180,23 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     usable = np.isfinite(second).sum(axis=(1, 2)) > 1
     if not usable.any():
         return None
-    of_second, of_first = (np.nanmedian(size[usable], axis=(1, 2)) for size in (second, first))
+    second, first = second[usable], first[usable]
+    still = np.isfinite(second)
+    for _ in range(MAX_STILL_ROUNDS):
+        noise = np.nanmedian(np.where(still, second, np.nan), axis=(1, 2), keepdims=True)
+        at_rest = second <= NOISE_REACH * MAD_TO_SIGMA * noise
+        if (at_rest == still).all():
+            break
+        still = at_rest
+    of_second, of_first = (
+        np.nanmedian(np.where(still, size, np.nan), axis=(1, 2)) for size in (second, first)
+    )
     calmest = np.argsort(of_second)[: max(1, round(QUIET_SHARE * len(of_second)))]
     quiet = float(of_second[calmest].mean()) * MAD_TO_SIGMA
     moving = float(of_first[calmest].mean()) / PAIR_MEDIAN
     if quiet > 1 and moving > MIN_EXCESS * quiet:
         return None
-    count = int(np.isfinite(second[usable]).sum() / usable.sum() * MEDIAN_EFFICIENCY)
+    count = int(still.sum() / usable.sum() * MEDIAN_EFFICIENCY)
     return Scatter(quiet, max(count, 1), 0.0, NO_RIPPLE, NO_RIPPLE)
 
 

@@ -23,7 +23,12 @@ from lampest.inference.prepared import Prepared
 from lampest.inference.readings.outliers import detect_outliers
 from lampest.inference.readings.repeated import frozen_readings
 from lampest.inference.unloaded_cells import READING_ERRORS, unloaded_costs
-from lampest.inference.variance_components import Scatter, posterior_size, scatter
+from lampest.inference.variance_components import (
+    Scatter,
+    posterior_size,
+    repeated_scatter,
+    scatter,
+)
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
@@ -270,6 +275,21 @@ def test_unspecified_noise_is_estimated_from_the_frames(setting: str | None) -> 
     assert np.median(ratio) == pytest.approx(1, abs=0.5 * SIZE_ERROR)
     noise_of_few = Prepared(recorded(1, scene_of(setting), frames=6, unloaded=3)).noise
     assert (noise_of_few.sigma_factor == 1) == (setting is None)
+
+
+def test_a_load_that_comes_on_a_third_of_the_cells_is_no_noise() -> None:
+    """The other readings show the noise; with all of them it was 1.5 times as large, or more."""
+    draws = np.random.default_rng(4).standard_normal((60, 3, LINES, CHANNELS))
+    draws[:, 1:, :, :3] += 20.0
+    draws[:, 1:, :4, 3] += 20.0
+    exact = np.full(draws.shape[1:], 100.0)
+    sizes = []
+    for draw in draws:
+        readings = Readings(exact + draw, np.ones_like(exact), np.zeros_like(exact), exact / 100)
+        repeated = repeated_scatter(readings)
+        assert repeated is not None
+        sizes.append(repeated.own)
+    assert np.mean(sizes) == pytest.approx(1, abs=MAX_BIAS)
 
 
 @pytest.mark.long
