@@ -218,7 +218,7 @@ class _ParameterSearch:
 def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool:
     """Return whether linear theory allows a memory of the converter a gain that is significant.
 
-    A smaller gain is no doubt.
+    A smaller gain is no doubt, and no converter keeps a negative share.
     """
     if explanation.pair is None:
         return True
@@ -228,13 +228,17 @@ def may_gain_by_memory(explanation: Explanation, frames: ComparedFrames) -> bool
         for fit, readings in zip(explanation.fits, remembering, strict=True)
     )
     # by a usual memory, and by the largest tried one
-    units = (1.0, MEMORIES[-1] / LINEAR_MEMORY)
-    gains = (_linear_gain(explanation.pair, unit * (loaded - resting)) for unit in units)
-    return max(gains) > MIN_LINEAR_SHARE * MIN_EVIDENCE_GAIN
+    for unit in (1.0, MEMORIES[-1] / LINEAR_MEMORY):
+        gain, size = _linear_gain(explanation.pair, unit * (resting - loaded))
+        if gain > MIN_LINEAR_SHARE * MIN_EVIDENCE_GAIN and not size < 0:
+            return True
+    return False
 
 
-def _linear_gain(pair: FittedPair, response: Array) -> float:
-    """Return the gain of a parameter in score by linear theory.
+def _linear_gain(pair: FittedPair, response: Array) -> tuple[float, float]:
+    """Return the gain of a parameter in score by linear theory, and its posterior mean.
+
+    The mean is NaN where no cell stands still.
 
     Parameters
     ----------
@@ -242,7 +246,8 @@ def _linear_gain(pair: FittedPair, response: Array) -> float:
     response : array, shape (cells, 1)
         Change of d by one standard deviation of the parameter.
     """
-    return pair.evidence.score - pair.explained(response).score
+    evidence = pair.explained(response)
+    return pair.evidence.score - evidence.score, float(evidence.size[1])
 
 
 def _gain_by_series(explanation: Explanation, ohm: float) -> float:
@@ -254,7 +259,7 @@ def _gain_by_series(explanation: Explanation, ohm: float) -> float:
     driven = getattr(explanation.alternative.scene.circuit, "driven", "rows")
     lines = slice(0, rows) if driven == "rows" else slice(rows, None)
     response = explanation.pair.channels[:, lines].sum(axis=1, keepdims=True)
-    return _linear_gain(explanation.pair, ohm * response)
+    return _linear_gain(explanation.pair, ohm * response)[0]
 
 
 def most_in_series(alternative: Alternative, frames: ComparedFrames) -> float:

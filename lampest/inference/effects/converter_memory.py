@@ -95,11 +95,10 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     # Cells without a load creep less than is assumed, and cells that answer more gain by that.
     if not without.pair.has_load:
         return 0.0
-    # Only where noise does not give the misfit without a memory, it counts with one. Under a wrong
-    # circuit that takes long, and linear theory promises nothing.
-    patient = not all(fit.within_noise for fit in without.fits)
-    if patient and not may_gain_by_memory(without, frames):
+    if not may_gain_by_memory(without, frames):
         return 0.0
+    # Only where noise does not give the misfit without a memory, it counts with one.
+    patient = not all(fit.within_noise for fit in without.fits)
     best = without
     for share in TRIED:
         (further,) = _explanations(frames, np.array([share]), best, patient=patient)
