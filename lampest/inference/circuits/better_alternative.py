@@ -87,9 +87,11 @@ def better_alternative(frames: ComparedFrames, specified: Explanation | None) ->
     best = _best_candidate(candidates, frames, linear, at_fault=specified is None)
     if best is not None and specified is not None and best.pair is not None:
         # Linear theory costs little, and most candidates gain nothing by it.
-        limit = specified.linear_evidence - DOUBTFUL_GAIN * best.pair.excess
-        likely = [candidate for candidate in candidates if candidate.linear_evidence < limit]
-        best = _best_candidate(likely, frames, attrgetter("evidence"), at_fault=False) or best
+        excess = best.pair.excess
+        if any(_may_decide(specified, candidate, excess) for candidate in candidates):
+            limit = specified.linear_evidence - DOUBTFUL_GAIN * excess
+            likely = [candidate for candidate in candidates if candidate.linear_evidence < limit]
+            best = _best_candidate(likely, frames, attrgetter("evidence"), at_fault=False) or best
     return BetterExplanation() if best is None else _compared(specified, best, frames)
 
 
@@ -297,14 +299,10 @@ def _compared(
         )
     if specified.pair is None:
         return BetterExplanation()
-    # A resistance in series follows hidden errors of the circuit, a memory the edge of a load:
-    # alone, neither is a doubt, and both need cells that touch no moved ones.
-    as_specified = (
-        best.alternative.scene.converter_memory == frames.specified.scene.converter_memory
-    )
-    other_circuit = bool(best.alternative.kind) and as_specified
+    # Both numbers of the scene's circuit need cells that touch no moved ones.
+    other_circuit = _is_other_circuit(specified, best)
     gain = (specified.linear_evidence - best.linear_evidence) / best.pair.excess
-    if gain > DOUBTFUL_GAIN:
+    if _may_decide(specified, best, best.pair.excess):
         gain = _gain(specified, best)
     if not (gain > DOUBTFUL_GAIN and best.pair.has_load):
         return BetterExplanation(alone=not (other_circuit and gain > 0))
@@ -318,6 +316,23 @@ def _compared(
         cell_factors(specified.pair, best.pair),
         addition=best.alternative.addition,
     )
+
+
+def _is_other_circuit(specified: Explanation, candidate: Explanation) -> bool:
+    """Return whether a candidate is another circuit, and not the scene's with other numbers."""
+    memories = (each.alternative.scene.converter_memory for each in (specified, candidate))
+    return bool(candidate.alternative.kind) and len(set(memories)) == 1
+
+
+def _may_decide(specified: Explanation, candidate: Explanation, excess: float) -> bool:
+    """Return whether a candidate's gain by linear theory, over the excess, may be a finding.
+
+    Another circuit is a doubt from DOUBTFUL_GAIN on. A resistance in series follows hidden errors
+    of the circuit, a memory the edge of a load: alone, neither is one below MIN_EVIDENCE_GAIN.
+    """
+    other = _is_other_circuit(specified, candidate)
+    gain = specified.linear_evidence - candidate.linear_evidence
+    return gain > excess * (DOUBTFUL_GAIN if other else MIN_EVIDENCE_GAIN)
 
 
 def _gain(specified: Explanation, best: Explanation) -> float:
