@@ -11,6 +11,7 @@ and the posterior of z.
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -399,8 +400,8 @@ def _unlike(data: Data, scatter: float) -> tuple[Array, Array]:
     """Return the prior N(T β, s²) of log cells, whose trend is free, for `most_probable_cells`."""
     trend = _trend(data)
     free = data.lower[0] < data.upper[0]
-    unlike = (np.eye(free.size) - trend @ trend.T) / scatter
-    return unlike, np.where(free, 0.0, data.log_bounds[0][0])
+    precision = (np.eye(free.size) - trend @ trend.T) / scatter**2
+    return precision, np.where(free, 0.0, data.log_bounds[0][0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -438,15 +439,49 @@ class AtRest:
         cells, _, jacobian = most_probable_cells(
             data, resting.value, deviation, prior, np.log(fit.cells), fit.with_effects
         )
-        scaled = np.vstack([jacobian / deviation.reshape(-1, 1), prior[0]])
-        precision = scaled.T @ scaled
-        precision[np.diag_indices(len(precision))] += CELL_PRECISION
+        scaled = jacobian / deviation.reshape(-1, 1)
+        precision = scaled.T @ scaled + prior[0] + CELL_PRECISION * np.eye(len(scaled))
         weighted = jacobian / deviation.reshape(-1, 1) ** 2
         return cls(cells, inverse_and_volume(precision)[0], weighted)
 
     def response(self, errors: Array) -> Array:
         """Return the change of m (cells, n) by errors of the readings, (readings, n)."""
         return self.covariance @ (self.jacobian.T @ errors)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Readings linearised about log cells, with a prior of these; see `least_squares.Linearised`.
+
+    Attributes
+    ----------
+    reading : array, shape (rows, columns)
+    sensitivity : array, shape (readings, cells)
+    misfit : SumOfSquares
+        That of the readings, over their noise.
+    away : array, shape (cells,)
+        Log cells less their prior mean.
+    precision : array, shape (cells, cells)
+        Of the prior.
+    """
+
+    reading: Array
+    sensitivity: Array
+    misfit: SumOfSquares
+    away: Array
+    precision: Array
+
+    @cached_property
+    def cost(self) -> float:
+        return self.misfit.cost + float(self.away @ self.precision @ self.away) / 2
+
+    @cached_property
+    def gradient(self) -> Array:
+        return self.misfit.gradient + self.precision @ self.away
+
+    @cached_property
+    def normal(self) -> Array:
+        return self.misfit.normal + self.precision
 
 
 def most_probable_cells(
@@ -459,7 +494,7 @@ def most_probable_cells(
 ) -> tuple[Array, Array, Array]:
     """Return the most probable log cells u, their readings f(u), and the Jacobian J there.
 
-    The minimum is that of Σ ((f(u) − y)/τ)² + |R (u − m)|².
+    The minimum is that of Σ ((f(u) − y)/τ)² + (u − m)ᵀ Λ (u − m).
 
     Parameters
     ----------
@@ -467,7 +502,7 @@ def most_probable_cells(
     value, deviation : array, shape (rows, columns)
         y and τ; τ is infinite where there is no reading.
     prior : tuple of array
-        R, (residuals, cells), and m, (rows, columns).
+        Λ, (cells, cells), and m, (rows, columns).
     start : array, shape (rows, columns)
         Log cells.
     effects : callable
@@ -479,7 +514,7 @@ def most_probable_cells(
     array, shape (rows, columns)
     array, shape (readings, cells)
     """
-    root, mean = prior
+    precision, mean = prior
     # Cells that the panel does not have stay.
     free = data.lower[0] < data.upper[0]
     lower, upper = (
@@ -487,18 +522,13 @@ def most_probable_cells(
         for far, bound in zip((-np.inf, np.inf), data.log_bounds, strict=True)
     )
 
-    def read(cells: Array) -> tuple[Array, Array]:
+    def model(cells: Array) -> _Linearised:
         network, added = effects(data.network(0, np.exp(cells).reshape(value.shape)))
-        return network.reading() + added, network.sensitivity() * free.ravel()
-
-    def model(cells: Array) -> SumOfSquares:
-        reading, jacobian = read(cells)
+        reading, sensitivity = network.reading() + added, network.sensitivity() * free.ravel()
         missed = ((reading - value) / deviation).ravel()
-        return SumOfSquares(
-            np.concatenate([missed, root @ (cells - mean.ravel())]),
-            np.vstack([jacobian / deviation.reshape(-1, 1), root]),
-        )
+        misfit = SumOfSquares(missed, sensitivity / deviation.reshape(-1, 1))
+        return _Linearised(reading, sensitivity, misfit, cells - mean.ravel(), precision)
 
     begin = np.where(free, start, data.log_bounds[0][0]).ravel()
-    position, _ = replace(FIT, evaluations=25, share=0.0).minimum(model, begin, (lower, upper))
-    return position.reshape(value.shape), *read(position)
+    position, at = replace(FIT, evaluations=25, share=0.0).minimum(model, begin, (lower, upper))
+    return position.reshape(value.shape), at.reading, at.sensitivity

@@ -146,12 +146,12 @@ class LoadedDensity:
         readings = frame.measured
         plain = readings.plain.ravel()
         mean = self._at_rest.cells
-        root = np.linalg.inv(np.linalg.cholesky(self._unchanged + change))
+        precision = inverse_and_volume(self._unchanged + change)[0]
         cells, given, jacobian = most_probable_cells(
             data_of_cells(frame.scene, readings),
             readings.value,
             np.where(readings.plain, readings.known_sigma, np.inf),
-            (root, mean),
+            (precision, mean),
             start,
             frame.with_effects,
         )
