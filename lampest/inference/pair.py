@@ -443,6 +443,8 @@ class FittedPair:
         pair = self
         for _ in range(FIT.evaluations):
             evidence = pair.explained(pair.columns(effects))
+            # The next selection of moved cells begins at these.
+            pair = replace(pair, start=evidence.moved)
             free = [(constant or effect.since) and not effect.known for effect in effects]
             step = np.where(free, evidence.size[1:], 0.0)
             sd = evidence.sd[1:]
@@ -458,7 +460,7 @@ class FittedPair:
             effects = pair.effects
             if np.all(np.abs(step) < SETTLED_STEP * np.maximum(sd, SETTLED_STEP)):
                 break
-        return pair
+        return replace(pair, start=self.start)
 
     def frame_like(self, readings: Readings, near: CellsFit) -> CellsFit | None:
         """Return the fit of another frame with these effects; None where no cells explain it.
