@@ -86,7 +86,7 @@ def test_jitter_that_moves_most_cells_is_estimated_and_not_advised(
     prepared = Prepared(recording(seed, LOADS["jitter"], Row(), {}))
     compared = prepared.recording, prepared.noise.readings
     assert share_of_motion(*compared, 1.0) is not None
-    assert (share_of_motion(*compared, 1.0, jitter_alone=False) is not None) == advised
+    assert (share_of_motion(*compared, 1.0, may_jitter=False) is not None) == advised
 
 
 def test_the_slope_of_the_evidence_of_motion_is_that_of_its_cost() -> None:

@@ -153,7 +153,7 @@ def share_of_motion(
     known: float | None = None,
     *,
     unknown_errors: bool = False,
-    jitter_alone: bool = True,
+    may_jitter: bool = True,
     frame_noise: FrameNoise | None = None,
     resting_cells: Array | None = None,
 ) -> Share | None:
@@ -174,8 +174,8 @@ def share_of_motion(
         The share, where it is known.
     unknown_errors : bool
         Whether each reading has an error of its own of unknown size, the same in all frames.
-    jitter_alone : bool
-        Whether frames count in which cells are still with a load that jitters alone.
+    may_jitter : bool
+        Whether the load may jitter.
     frame_noise : FrameNoise or None
         Errors that the readings of a frame share, such as a ripple: they, too, move all cells.
     """
@@ -186,8 +186,10 @@ def share_of_motion(
     search = MotionSearch(moving, MAX_OWN_VARIANCE if unknown_errors else 0.0)
     steady = search.likeliest(shares)
     compared = [frame for frame in moving if frame.still_and_free(steady.position)[0]]
-    shows_jitter = all(frame.still_and_free(steady.position)[1] for frame in compared)
-    if not compared and jitter_alone:
+    shows_jitter = may_jitter and all(
+        frame.still_and_free(steady.position)[1] for frame in compared
+    )
+    if not compared and may_jitter:
         # Where a load jitters, cells stand still under no steady motion.
         jitter = search.likeliest(shares, JITTERS)
         compared = [frame for frame in moving if frame.still_and_free(jitter.position)[1]]
@@ -630,7 +632,7 @@ class ScanMotion(SceneEffect):
             recording,
             readings,
             # A load on most cells, such as a hand, is like one that jitters.
-            jitter_alone=False,
+            may_jitter=False,
             frame_noise=noise.frame,
             resting_cells=noise.resting_cells,
         )
