@@ -172,7 +172,8 @@ def _damped_step(point: Linearised, free: Mask, damping: float, longest: Array |
     scale = damped.diagonal()
     damped[np.diag_indices(len(damped))] += damping * np.where(scale > 0, scale, 1.0)
     step = np.zeros(len(free))
-    _, solution, failed = lapack.dposv(damped, point.gradient[free])
+    # LAPACK has the columns in memory: it takes the transposed of a matrix without turning it.
+    _, solution, failed = lapack.dposv(damped.T, point.gradient[free])
     if failed:  # not positive definite in double precision
         solution = np.linalg.solve(damped, point.gradient[free])
     step[free] = -solution
