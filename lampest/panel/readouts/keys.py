@@ -22,7 +22,7 @@ from lampest.panel.lines import (
     opposite,
     per_line,
 )
-from lampest.panel.panel import Array, check_line_memory
+from lampest.panel.panel import Array
 from lampest.panel.readouts.converter import MAX_VOLT, converter_in_words
 
 MAX_OFFSET_VOLT = 0.1  # amplifiers without trimming: 15 mV (data sheet of the LM324)
@@ -184,8 +184,8 @@ def check_on_panel(readout: Any, scene: Any) -> None:
     check_groups(entry(readout, "driven_groups"), ends.driven, driven, "driven_groups")
     if ends.two_point:
         return  # all lines end as those of the nominal panel
-    check_line_memory(driven, sensed)
-    table = readout.terminations(driven, sensed)
+    equation = equation_of(readout, *scene.panel.shape)
+    table = equation.terminations
     driving, sensing = np.isfinite(table.driving.ohm), np.isfinite(table.sensing.ohm)
     side = ends.driven.removesuffix("s")
     if not driving.diagonal().all():
@@ -199,7 +199,6 @@ def check_on_panel(readout: Any, scene: Any) -> None:
             f"{opposite(ends.driven).removesuffix('s')} {read} is read no other line ends "
             "anywhere: no current flows; name the resistor of the line that is read"
         )
-    equation = equation_of(readout, *scene.panel.shape)
     if ends.diode is not None and equation.potentials is not None:
         raise ValueError("diode: circuits with several potentials have no diode in this model")
     if ends.diode is not None and entry(readout, "driven_groups") is not None:
