@@ -171,7 +171,8 @@ class Data(ReadOnlyArrays):
         None. If the computation breaks down, the uniform start is returned.
         """
         places = [None] * len(self.measured) if near is None else list(near)
-        frames = zip(self.measured, self.upper, places, strict=True)
+        limits = zip(self.lower, self.upper, strict=True)
+        frames = zip(self.measured, limits, places, strict=True)
         with suppress(*BROKEN):
             return np.stack([self.readout.start(*frame) for frame in frames])
         return self.uniform_start

@@ -72,6 +72,13 @@ def data_of_cells(scene: Scene, readings: Readings) -> Data:
     return data_of_solve(LEAST_SQUARES, POSITIVE, readings.alone(), Background(scene))
 
 
+def _data_of_fit(scene: Scene, readings: Readings) -> Data:
+    """Return the data of cells with wider lower bounds; known cells stay as they are."""
+    data = data_of_cells(scene, readings)
+    lower = np.where(data.lower < data.upper, MIN_CELL_FACTOR * data.lower, data.lower)
+    return replace(data, lower=lower)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellsFit(SumOfSquares):
     """Fit of the cells to one frame, as a sum of squares over log r.
@@ -304,8 +311,7 @@ def fitted(
         reaches is returned.
     """
     with suppress(*BROKEN), np.errstate(all="ignore"):
-        data = data_of_cells(scene, readings)
-        data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
+        data = _data_of_fit(scene, readings)
         start = data.start()[0] if near is None else near
         fit = _levenberg_marquardt_fit(scene, data, readings, start, effects)
         if fit.chi_square <= EXACT_CHI_SQUARE or effects:
@@ -346,8 +352,7 @@ def local_fit(scene: Scene, readings: Readings) -> CellsFit:
 
     Raises one of BROKEN where arithmetic fails.
     """
-    data = data_of_cells(scene, readings)
-    data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
+    data = _data_of_fit(scene, readings)
     return _levenberg_marquardt_fit(scene, data, readings, data.start()[0])
 
 

@@ -202,7 +202,7 @@ def readout_row(scene: lp.Scene) -> dict[str, Any]:
         "seen": readings.seen,
         "apparent": circuit.apparent_resistance(value),
         "uniform": circuit.uniform_start(value),
-        "start": circuit.start(value, np.full(value.shape, 1e6)),
+        "start": circuit.start(value, (np.full(value.shape, 1e-6), np.full(value.shape, 1e6))),
         "least": least_cells(circuit, value, sigma),
         "least without noise": least_cells(circuit, value, None),
         "shorted": nearly_shorted(circuit, value),

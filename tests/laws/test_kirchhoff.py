@@ -124,6 +124,6 @@ def test_the_convex_start_of_large_panels_converges_quadratically(
     monkeypatch.setattr(
         SolvedNetwork, "floating", lambda *network: solved.append(0) or solve(*network)
     )
-    start = convex_start(measured, np.full(shape, 1e7), near)
+    start = convex_start(measured, (np.full(shape, 1.0), np.full(shape, 1e7)), near)
     assert_allclose(two_point_resistance(start), measured, rtol=MAX_RELATIVE_MISFIT)
     assert len(solved) <= MAX_SOLVES

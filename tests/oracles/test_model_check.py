@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from promises import promise
 
 import lampest
@@ -27,7 +28,7 @@ from lampest import (
 )
 from lampest.files.levels import SIGNIFICANCE
 from lampest.files.typed import members_of
-from lampest.inference.cells_fit import fitted
+from lampest.inference.cells_fit import EXACT_CHI_SQUARE, data_of_cells, fitted
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.free_tests import free_tests, largest_series_ohm
 from lampest.panel.panel import EachModule, Modules, Panel
@@ -247,6 +248,37 @@ def test_a_fit_is_within_noise_where_its_tail_is(deviations: float) -> None:
     fit = fitted(scene, Readings.of(scene, exact + deviations * sigma * noise, sigma), patient=True)
     assert fit is not None
     assert fit.within_noise == (fit.chi_square <= 1 or fit.tail >= SIGNIFICANCE)
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        lampest.Faults(dead_rows=(1,)),
+        lampest.Faults(dead_columns=(0, 4)),
+        lampest.Faults(open=((1, 2),)),
+        lampest.Faults(shorted=((1, 2),)),
+    ],
+    ids=["dead row", "dead columns", "open cell", "shorted cell"],
+)
+def test_known_faults_keep_no_other_cell_at_a_bound(faults: lampest.Faults) -> None:
+    """The start of a solve has the faults, and reproduces the readings of all other cells.
+
+    From a start at which a dead row conducts, least squares end with a cell at its bound and
+    readings off by more than their noise.
+    """
+    readout = TwoPointReadout(adc_bits=12, readings=20, measured_across="sensor")
+    scene = Scene(lampest.Panel(6, 6, 10.0), readout, faults=faults)
+    cells = 3000 * np.exp(np.random.default_rng(47).standard_normal((6, 6)))
+    cells[2:4, 2:4] /= 60
+    cells[scene.open_cells] = 1e12
+    cells[scene.shorted_cells] = 1e-3
+    readings = Readings.of(scene, np.minimum(readout.exact_reading(cells), 1e9))
+    data = data_of_cells(scene, readings)
+    start = data.network(0, data.start()[0]).reading()
+    seen = readings.seen > 0
+    assert_allclose(start[seen], readings.value[seen], rtol=ROUNDING)
+    fit = fitted(scene, readings, patient=True)
+    assert fit is not None and fit.chi_square < EXACT_CHI_SQUARE
 
 
 @pytest.mark.slow

@@ -55,27 +55,30 @@ def uniform_factor(rows: int, columns: int) -> float:
     return (rows + columns - 1) / (rows * columns)
 
 
-def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Array:
+def convex_start(measured: Array, limits: tuple[Array, Array], near: Array | None = None) -> Array:
     """Return the minimiser of a convex function, as cells (rows, columns) ohm.
 
-    The function's gradient is the misfit. g* = argmin ⟨R_m, g⟩ − log det C(g) over g ≥ 1/r_upper,
-    by damped, projected Newton steps. As R = ∇ log det C, attainable readings are reproduced, and
-    the result is the solution of plain least squares. For other readings it is a start, not an
-    estimate. Source: Foster's theorem and the concavity of log det (Boyd & Vandenberghe, Convex
-    Optimization, 2004, section 3.1.5).
+    The function's gradient is the misfit. g* = argmin ⟨R_m, g⟩ − log det C(g) over g ≥ 1/r_upper of
+    the cells that are not known, by damped, projected Newton steps. As R = ∇ log det C, attainable
+    readings of these are reproduced, and the result is the solution of plain least squares. For
+    other readings it is a start, not an estimate. Source: Foster's theorem and the concavity of log
+    det (Boyd & Vandenberghe, Convex Optimization, 2004, section 3.1.5).
 
     Parameters
     ----------
     measured : array, shape (rows, columns)
         R_m in ohm.
-    upper : array, shape (rows, columns)
-        Upper bounds r_upper in ohm.
+    limits : tuple of two arrays, shape (rows, columns)
+        Smallest and largest resistances, ohm; equal where a cell is known.
     near : array, shape (rows, columns), or None
         Estimate of an earlier frame, from which the iteration begins; None for R_m·MN/(M + N − 1).
     """
     first = measured / uniform_factor(*measured.shape) if near is None else near
+    lower, upper = limits
     least = 1 / upper
-    point = _ConvexPoint(measured, least, grounding(measured), np.maximum(1 / first, least))
+    known = lower == upper
+    conductance = np.where(known, least, np.maximum(1 / first, least))
+    point = _ConvexPoint(measured, least, known, grounding(measured), conductance)
     for _ in range(MAX_ITERATIONS):
         if point.misfit < MAX_RELATIVE_MISFIT:
             break
@@ -96,6 +99,8 @@ class _ConvexPoint:
         R_m in ohm.
     least : array, shape (rows, columns)
         1/r_upper in siemens.
+    known : boolean array, shape (rows, columns)
+        Whether a cell stays as it is.
     tie : array, shape (lines,)
         Ties to ground in siemens.
     conductance : array, shape (rows, columns)
@@ -104,6 +109,7 @@ class _ConvexPoint:
 
     measured: Array
     least: Array
+    known: Mask
     tie: Array
     conductance: Array
 
@@ -130,7 +136,8 @@ class _ConvexPoint:
     @cached_property
     def free(self) -> Mask:
         """Whether a cell is free to follow −∇, boolean (rows, columns)."""
-        return (self.conductance > self.least * (1 + BOUND_ROUNDING)) | (self.gradient < 0)
+        above = self.conductance > self.least * (1 + BOUND_ROUNDING)
+        return ~self.known & (above | (self.gradient < 0))
 
     @cached_property
     def misfit(self) -> float:

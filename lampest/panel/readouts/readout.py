@@ -313,19 +313,21 @@ class Readout(Completed, ABC):
         """Return cells (…, rows, columns) ohm as if all were equal."""
         return starts.uniform_start(self, measured)
 
-    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
+    def start(
+        self, measured: Array, limits: tuple[Array, Array], near: Array | None = None
+    ) -> Array:
         """Return cells to start a solve from, (rows, columns) ohm.
 
         Parameters
         ----------
         measured : array, shape (rows, columns)
             Readings.
-        upper : array, shape (rows, columns)
-            Upper bounds, ohm.
+        limits : tuple of two arrays, shape (rows, columns)
+            Smallest and largest resistances, ohm; equal where a cell is known.
         near : array, shape (rows, columns), or None
             Earlier estimate, ohm.
         """
-        return starts.start(self, measured, upper, near)
+        return starts.start(self, measured, limits, near)
 
     # Between recorded values and the network's readings.
 

@@ -131,7 +131,10 @@ def _of_uniform_panels(circuit: SolvableCircuit, measured: Array) -> Array:
 
 
 def start(
-    circuit: SolvableCircuit, measured: Array, upper: Array, near: Array | None = None
+    circuit: SolvableCircuit,
+    measured: Array,
+    limits: tuple[Array, Array],
+    near: Array | None = None,
 ) -> Array:
     """Return cells that reproduce the readings, (rows, columns) ohm.
 
@@ -141,7 +144,8 @@ def start(
     """
     equation = _equation(circuit, measured)
     if equation.floating:
-        return convex_start(apparent_resistance(circuit, measured), upper, near)
+        return convex_start(apparent_resistance(circuit, measured), limits, near)
+    upper = limits[1]
     panels = uniform_branches(circuit, measured, upper) if near is None else []
     if not panels:
         first = uniform_start(circuit, measured) if near is None else near

@@ -283,8 +283,13 @@ class ModulesReadout(Readout):
         """Return the uniform start of each module; see `uniform_factor`."""
         return measured / uniform_factor(self.layout.each.rows, self.layout.each.columns)
 
-    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
+    def start(
+        self, measured: Array, limits: tuple[Array, Array], near: Array | None = None
+    ) -> Array:
         """Return cells that reproduce attainable readings, module by module; see `convex_start`."""
         nears = [None] * self.layout.count if near is None else self.layout.split(near)
-        modules = zip(self.layout.split(measured), self.layout.split(upper), nears, strict=True)
+        lower, upper = map(self.layout.split, limits)
+        modules = zip(
+            self.layout.split(measured), zip(lower, upper, strict=True), nears, strict=True
+        )
         return self.layout.joined(np.stack([convex_start(*module) for module in modules]))
