@@ -10,6 +10,8 @@ import numpy as np
 from lampest.files.levels import FALSE_ALARM_RATE, NOISE_REACH, SIGNIFICANCE
 from lampest.inference.readings.outliers import MAX_SHARE
 from lampest.panel.panel import Mask, Numbers
+from lampest.panel.readouts.converter import states_noise
+from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_median, chi_square_tail
 from lampest.recording.readings import Readings, line_differences
 from lampest.recording.recording import Recording
@@ -72,9 +74,23 @@ def repeated_frames(recording: Recording) -> Numbers:
     if not copies.any() or not len(shares_of_others):
         return np.zeros(0, dtype=np.intp)
     # probability that noise repeats all readings of a frame by chance, if the largest share of the
-    # others is usual
-    chance = len(copies) * float(shares_of_others.max()) ** int(np.median(counts))
+    # others is usual, or that of the specified noise where a load changes the others
+    share = max(float(shares_of_others.max()), _specified_share(recording.scene))
+    chance = len(copies) * share ** int(np.median(counts))
     return np.flatnonzero(copies) + 1 if chance < SIGNIFICANCE else np.zeros(0, dtype=np.intp)
+
+
+def _specified_share(scene: Scene) -> float:
+    """Return the share of readings that specified noise repeats in the next frame; 0 without any.
+
+    Two codes with noise of s steps differ with the probability 2 s/√π where s is small, at places
+    that are uniform within a step. A mean of n codes is repeated where all of them are.
+    """
+    readout = scene.readout
+    if readout is None or not states_noise(readout):
+        return 0.0
+    steps = readout.readings * float(np.min(readout.assumed_noise))
+    return float(np.exp(-2 * steps / np.sqrt(np.pi)))
 
 
 def repeat_each_other(readings: Readings, unloaded: Mask, groups: Sequence[Sequence[int]]) -> bool:
