@@ -457,8 +457,13 @@ class FittedPair:
             if stepped is None:
                 return None
             pair = stepped
+            # An effect that cannot be negative, and has no size, does not move below 0.
+            least = [
+                -effect.size / effect.prior if effect.positive else -np.inf for effect in effects
+            ]
             effects = pair.effects
-            if np.all(np.abs(step) < SETTLED_STEP * np.maximum(sd, SETTLED_STEP)):
+            moved = np.abs(np.maximum(step, least))
+            if np.all(moved < SETTLED_STEP * np.maximum(sd, SETTLED_STEP)):
                 break
         return replace(pair, start=self.start)
 
