@@ -16,7 +16,7 @@ from lampest.inference.circuits.explanation import ComparedFrames, Explanation
 from lampest.inference.circuits.parameters import MEMORIES as TRIED
 from lampest.inference.circuits.parameters import may_gain_by_memory
 from lampest.inference.effects.effect import Determined, SceneEffect, Unnamed, names_none
-from lampest.inference.evidence import PARAMETER_COST
+from lampest.inference.evidence import PARAMETER_COST, mostly_still
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.number import MIN_ODDS, parabola
 from lampest.inference.prepared import Prepared
@@ -95,10 +95,12 @@ def memory_gain(frames: ComparedFrames, without: Explanation | None) -> float:
     # Cells without a load creep less than is assumed, and cells that answer more gain by that.
     if not without.pair.has_load:
         return 0.0
-    if not may_gain_by_memory(without, frames):
-        return 0.0
-    # Only where noise does not give the misfit without a memory, it counts with one.
+    # Only where noise does not give the misfit without a memory, it counts with one. Under a wrong
+    # circuit that takes long. Linear theory promises nothing there, and nothing from still cells.
     patient = not all(fit.within_noise for fit in without.fits)
+    linear = patient or mostly_still(without.pair.moved)
+    if linear and not may_gain_by_memory(without, frames):
+        return 0.0
     best = without
     for share in TRIED:
         (further,) = _explanations(frames, np.array([share]), best, patient=patient)
