@@ -56,7 +56,8 @@ class Breathing:
     max_depth : float
         Largest depth that the last full window allows, with 95 %; infinite before one.
     clearest : float
-        Probability after the last full window; 0 where that one excludes a breath of MIN_DEPTH.
+        Probability after the last full window, with a tenth of the odds where that one excludes a
+        breath of MIN_DEPTH.
     full_s, judged_s : float
         Times of the last frame of the last full window, and of the last window, s.
     """
@@ -139,7 +140,8 @@ class Breathing:
             return weighed
         depth, depth_sd = breath.depth
         max_depth = depth + ONE_SIDED * depth_sd
-        clearest = weighed.probability if max_depth >= MIN_DEPTH else 0.0
+        against = SILENT_LOG_ODDS if max_depth < MIN_DEPTH else 0.0  # or the mouth pauses
+        clearest = float(expit(logit(weighed.probability) - against))
         return replace(weighed, max_depth=max_depth, clearest=clearest)._closed(time)
 
     def _with_window(self, breath: Breath, *, full: bool) -> "Breathing":

@@ -246,7 +246,7 @@ def test_many_like_windows_are_little_surer_than_a_few() -> None:
 
 
 def test_a_clear_breath_is_lost_to_its_absence_alone() -> None:
-    """Not to movements that hide it, where it was certain before."""
+    """Not to movements that hide it or to a pause, where it was certain before."""
     clear, moved = (Breath(9.0, suction, (1.1, 0.1), (0.08, 0.01)) for suction in (1 - 1e-6, 1e-6))
     still = Breath(-6.0, 0.9, (1.1, 0.1), (0.01, 0.005))
     certain, likely = Breathing(), Breathing().after(replace(clear, odds=4.0), 8.0, full=True)
@@ -258,7 +258,9 @@ def test_a_clear_breath_is_lost_to_its_absence_alone() -> None:
             breathing.after(moved, 8.0 * number, full=True) for breathing in (certain, likely)
         )
     assert certain.probability > 0.99 and likely.probability < 0.1
-    assert certain.after(still, 72.0, full=True).probability < 0.1
+    for number in range(9, 12):
+        paused, certain = certain, certain.after(still, 8.0 * number, full=True)
+    assert certain.probability < 0.1 < 0.99 < paused.probability, "two windows may be a pause"
 
 
 def test_a_mouth_that_breathes_again_is_recognised_within_half_a_minute() -> None:

@@ -1,5 +1,7 @@
 """Suction by the cells that have risen, over the recognitions of a visit."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from laws.recognised import PANEL
@@ -8,6 +10,7 @@ from lampest import OralDisc, Recording, Rod, Scene, Shape, TwoPointReadout
 from lampest.apps.recognition.attachment import Attachment
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.model_errors import ModelErrors
+from lampest.apps.recognition.suction import suctions
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.recording.simulation.measure import Unmodelled
@@ -74,3 +77,19 @@ def test_a_visit_of_two_hours_stays_a_visit_where_a_second_load_arrives_beside_i
         visit = nearest(watch, mouth)
         assert visit.present and visit.since_s < 10 and visit.sucks > 0.9
     assert sum(attachment.sucks > 0.5 for attachment in watch.attachments) == 1
+
+
+@pytest.mark.parametrize(("fallen", "sucks"), [(8, True), (4, True), (3, True), (0, False)])
+def test_a_rim_that_passes_between_patches_bears_suction_and_none_bears_nothing(
+    fallen: int, sucks: bool
+) -> None:
+    """Four cells have risen clearly, and some of their eight neighbours have fallen."""
+    change = np.zeros(PANEL.shape)
+    change[4:6, 4:6] = 0.8
+    rim = [(3, 4), (5, 6), (6, 4), (4, 3), (3, 5), (4, 6), (6, 5), (5, 3)]
+    change[tuple(np.transpose(rim[:fallen] or [(0, 0)]))] -= 0.3 * (fallen > 0)
+    scene = SimpleNamespace(broken=np.zeros(PANEL.shape, dtype=bool))
+    baseline = SimpleNamespace(logarithm=np.zeros(PANEL.shape), scene=scene)
+    sd = np.full(PANEL.shape, 0.01)
+    frame = SimpleNamespace(panel=PANEL, free_map=change, free_sd=sd, baseline=baseline)
+    assert [place.probability > 0.8 for place in suctions(frame)] == [True] * sucks
