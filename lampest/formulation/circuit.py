@@ -118,8 +118,20 @@ class Circuit(ReadOnlyArrays):
         crossings = np.arange(rows * columns).reshape(shape)
         on_row = len(lines) + crossings
         on_column = on_row + crossings.size
-        ends, ohm = _wire(wiring, on_row, on_column)
-        # Pieces follow line by line, from the terminal to the last crossing.
+        # Contacts, and segments between crossings: pieces follow line by line, from the terminal to
+        # the last crossing.
+        wire = wiring.lines
+        contacts = wiring.contact_ohm(shape)
+        along_rows = on_row if wire.rows_enter == "left" else on_row[:, ::-1]
+        along_columns = on_column if wire.columns_leave == "top" else on_column[::-1]
+        pieces = list[tuple[int, int]]()
+        of_pieces = list[float]()
+        for line, nodes in enumerate([*along_rows.tolist(), *along_columns.T.tolist()]):
+            segment = wire.row_ohm_per_cell if line < rows else wire.column_ohm_per_cell
+            pieces += pairwise([line, *nodes])
+            of_pieces += [contacts[line] + segment, *[segment] * (len(nodes) - 1)]
+        ends = np.array(pieces, dtype=np.intp).T
+        ohm = np.array(of_pieces)
         last = ends[1, np.cumsum(np.repeat((columns, rows), shape)) - 1]
         points = lines if at_far_end is None else np.where(at_far_end, last, lines)
         joined = [(group[0], line) for group in wiring.joined for line in group[1:]]
@@ -253,25 +265,6 @@ class Circuit(ReadOnlyArrays):
         between = admittance if len(free) == self.count else admittance[free][:, free].tocsc()
         volt[free] = scipy.sparse.linalg.splu(between).solve(into[free])
         return volt
-
-
-def _wire(wiring: Wiring, on_row: Numbers, on_column: Numbers) -> tuple[Numbers, Array]:
-    """Return the ends and resistances of contacts and of the segments between crossings.
-
-    The ends have shape (2, pieces), the resistances (pieces,) ohm.
-    """
-    lines = wiring.lines
-    contacts = wiring.contact_ohm(on_row.shape)
-    along_rows = on_row if lines.rows_enter == "left" else on_row[:, ::-1]
-    along_columns = on_column if lines.columns_leave == "top" else on_column[::-1]
-    ends = list[tuple[int, int]]()
-    ohm = list[float]()
-    for line, nodes in enumerate([*along_rows.tolist(), *along_columns.T.tolist()]):
-        on_rows = line < len(on_row)
-        segment = lines.row_ohm_per_cell if on_rows else lines.column_ohm_per_cell
-        ends += pairwise([line, *nodes])
-        ohm += [contacts[line] + segment, *[segment] * (len(nodes) - 1)]
-    return np.array(ends, dtype=np.intp).T, np.array(ohm)
 
 
 def _incidence(nodes: int, ends: Numbers) -> scipy.sparse.csc_array:

@@ -223,10 +223,17 @@ def _ratios(
     column = casadi.SX(casadi.DM(np.where(np.isfinite(values[0]), values[0], 0.0)))
     for entry in np.flatnonzero((place >= 0).any(axis=0)).tolist():
         acting = place[:, entry] >= 0
-        at = np.array(points)[:, acting]
+        # Product of every subset of the numbers at each point, (points, subsets)
+        at = np.array(points)[:, acting].tolist()
+        terms = np.array([_subsets(point) for point in at], dtype=float)
+        # Ratio of polynomials through the values f of the grid: Σ a − f Σ b = 0 at every point is
+        # the vector of the least singular value.
         of_entry = values[:, entry]
-        fit = _ratio(at[:count], of_entry[:count])
-        upper, lower = fit @ _products(at).T
+        size = np.abs(of_entry[:count]).max()
+        known = of_entry[:count, None] / size
+        null = np.linalg.svd(np.hstack([terms[:count], -known * terms[:count]]))[2][-1]
+        fit = np.array([[size], [1.0]]) * null.reshape(2, -1)
+        upper, lower = fit @ terms.T
         if not np.all(np.abs(upper / lower - of_entry) <= ROUNDING * np.abs(of_entry).max()):
             raise _refusal(" and ".join(number.key for number in compress(numbers, acting)))
         steps = [
@@ -242,26 +249,6 @@ def _ratios(
 def _subsets(parts: Sequence[Any]) -> list[Any]:
     """Return the product of every subset of some parts."""
     return [prod(compress(parts, powers)) for powers in product((0, 1), repeat=len(parts))]
-
-
-def _ratio(at: Array, values: Array) -> Array:
-    """Return the coefficients of a ratio of polynomials through values, (2, subsets).
-
-    Parameters
-    ----------
-    at : array, shape (points, keys)
-    values : array, shape (points,)
-    """
-    terms = _products(at)
-    size = np.abs(values).max()
-    # Σ a − f Σ b = 0 at every point: the vector of the least singular value
-    null = np.linalg.svd(np.hstack([terms, -values[:, None] / size * terms]))[2][-1]
-    return np.asarray(np.array([[size], [1.0]]) * null.reshape(2, -1))
-
-
-def _products(at: Array) -> Array:
-    """Return the product of every subset of the numbers at points, (points, subsets)."""
-    return np.array([_subsets(point) for point in at.tolist()], dtype=float)
 
 
 def _entries(scene: Scene, nominal: Scene, measured: Array) -> Array:
@@ -344,7 +331,7 @@ def _stated(part: Any, key: str, value: Any) -> Any:
     """
     name, _, rest = key.partition(".")
     inner = _stated(getattr(part, name), rest, value) if rest else value
-    changes: dict[str, Any] = {name: inner}
+    changes = {name: inner}
     try:
         return replace(part, **changes)
     except ValueError as error:

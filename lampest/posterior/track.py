@@ -254,7 +254,16 @@ def beyond_tangents(
     for place in np.flatnonzero(missing)[:MAX_MISSING]:
         cell = int(place) + model.cells.size - size
         if moved is not None:
-            changes = _stood_in(errors, readings, int(place), moved)
+            # Tangent, and the frame solved again with the substitute at both ends of its spread
+            spread = stand_in_spread(readings.value, readings.plain).flat[place]
+            unit = np.zeros(readings.value.shape)
+            unit.flat[place] = TWO_SIDED * spread
+            rows = model.through @ (readings.value * unit).reshape(-1, 1)
+            low, high = (
+                moved(replace(readings, value=readings.value * np.exp(side * unit)))
+                for side in (-1, 1)
+            )
+            changes = (model.over_all(errors.answer(rows)[:, 0]), low, high)
         elif cell in model.free and errors.exact:
             low, high = (profile_end(errors, cell, side) for side in (-1, 1))
             changes = (tangent(errors, cell), low, high)
@@ -339,21 +348,3 @@ def profile_end(errors: DenseErrors, cell: int, side: int) -> Array:
             break
         errors = DenseErrors(replace(model, at=begin.elsewhere(np.exp(position))))
     return (position - begin.position).ravel()
-
-
-def _stood_in(
-    errors: DenseErrors, readings: Readings, place: int, moved: Callable[[Readings], Array]
-) -> tuple[Array, Array, Array]:
-    """Return tangent and ends by solving again with a reading's substitute (number).
-
-    The substitute is at both ends of its spread.
-    """
-    model = errors.model
-    unit = np.zeros(readings.value.shape)
-    unit.flat[place] = TWO_SIDED * stand_in_spread(readings.value, readings.plain).flat[place]
-    rows = model.through @ (readings.value * unit).reshape(-1, 1)
-    along = model.over_all(errors.answer(rows)[:, 0])
-    low, high = (
-        moved(replace(readings, value=readings.value * np.exp(side * unit))) for side in (-1, 1)
-    )
-    return along, low, high

@@ -154,13 +154,6 @@ class InverseHessians:
         made = [InverseHessian.of(there, row) for row in range(len(there.position))]
         return self.replaced(rows, InverseHessians((*made,) * len(rows) if alike else (*made,)))
 
-    def worn_where(self, failed: Mask) -> "InverseHessians":
-        """Return the inverse Hessians after a failed step of some panels."""
-        pairs = zip(self.panels, failed, strict=True)
-        return InverseHessians(
-            tuple(replace(panel, worn=True) if fails else panel for panel, fails in pairs)
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class BatchOutcome:
@@ -340,6 +333,10 @@ def _advanced(
         stays = moved | (length[:, 0] == 0)
         if stays.all():
             break
-        inverses = inverses.worn_where(~stays)
+        worn = (
+            replace(panel, worn=panel.worn or not stay)
+            for panel, stay in zip(inverses.panels, stays, strict=True)
+        )
+        inverses = InverseHessians(tuple(worn))
         length[~stays] *= RADIUS_FACTOR if attempt + 1 < MAX_TRIES else 0.0
     return trial, secants.after(points, trial), inverses, moved & (length[:, 0] > 0)
