@@ -12,7 +12,7 @@ Names are loaded when they are first used, so that importing the package costs n
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import lazy_loader
 
@@ -140,7 +140,7 @@ def reconstruct(
     from lampest.estimate.sequence import default_terms
     from lampest.report.reconstruction import Reconstruction
 
-    options: dict[str, Any] = {
+    options = {
         "solver": solver,
         "bounds": bounds,
         "auto_weight": auto_weight,

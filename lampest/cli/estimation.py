@@ -14,7 +14,6 @@ from lampest.files.errors import InputError, counted
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lampest.panel.panel import Panel
     from lampest.runs.batch import Report
     from lampest.runs.config import Case
 
@@ -155,7 +154,7 @@ def refuse_large(cases: "Sequence[Case]") -> None:
     from lampest.files.process import in_bytes, memory_limit
     from lampest.recording.file import recording_file
 
-    panels: dict[Path, Panel] = {}
+    panels = {}
     for path in {case.path for case in cases}:
         # An unreadable recording fails later, as a case of its own.
         with suppress(InputError), recording_file(path) as (_, scene, _):

@@ -144,7 +144,7 @@ def _build() -> None:
                 warn(f"the application '{other.name}': there is a command '{name}' already")
     abouts = GROUPS | {name: about for other in others for name, about in other.groups.items()}
     parts = list(dict.fromkeys((*PARTS, *(command.part for command in commands.values()))))
-    groups: dict[str, typer.Typer] = {"": app}
+    groups = {"": app}
     for name, command in sorted(commands.items(), key=lambda item: parts.index(item[1].part)):
         group, _, word = name.rpartition(" ")
         epilog = f"Example: lampest {name} {command.example}".rstrip()

@@ -176,7 +176,7 @@ class Squared(Loss):
     True
     """
 
-    squared: ClassVar[bool] = True
+    squared = True
     kind: Literal["squared"] = "squared"
 
     def cost(self, residual: Any) -> Any:
@@ -195,7 +195,7 @@ class Huber(Loss):
     3.0
     """
 
-    enters: ClassVar[Entry] = "split"
+    enters = "split"
     corner: float
     kind: Literal["huber"] = "huber"
 
@@ -236,7 +236,7 @@ class Absolute(Loss):
     'absolute'
     """
 
-    enters: ClassVar[Entry] = "dual"
+    enters = "dual"
     kind: Literal["absolute"] = "absolute"
 
     def cost(self, residual: Any) -> Any:
@@ -292,7 +292,7 @@ class Student(Loss):
     3.0
     """
 
-    convex: ClassVar[bool] = False
+    convex = False
     corner: float
     kind: Literal["student"] = "student"
 

@@ -349,7 +349,7 @@ class Evaluation(ReadOnlyArrays):
         Duals are clipped to |z| ≤ 1.
         """
         direct, through = self.partials(np.clip(dual, -1, 1))
-        gradient: Array = direct * self.cell_resistance
+        gradient = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
             # Jᵀ ∂φ/∂y by one product with the network of each frame
             gradient[..., frame, :, :] += network.adjoint(through[..., frame, :, :])

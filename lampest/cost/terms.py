@@ -167,8 +167,8 @@ class Misfit(Term):
     'ohm'
     """
 
-    reads_measurement: ClassVar[bool] = True
-    unit: ClassVar[str] = "ohm"
+    reads_measurement = True
+    unit = "ohm"
     kind: Literal["misfit"] = "misfit"
     weight: float = 1.0
     weighting: Literal["plain", "noise"] = "plain"
@@ -192,7 +192,7 @@ class CellResistance(Term):
     'ohm'
     """
 
-    unit: ClassVar[str] = "ohm"
+    unit = "ohm"
     kind: Literal["cell_resistance"] = "cell_resistance"
     weight: Weight = "auto"
 
@@ -209,8 +209,8 @@ class RelativeChange(Term):
     10.0
     """
 
-    needs_previous: ClassVar[bool] = True
-    unit: ClassVar[str] = "percent"
+    needs_previous = True
+    unit = "percent"
     kind: Literal["relative_change"] = "relative_change"
     weight: Weight = "auto"
 
@@ -227,7 +227,7 @@ class Gradient(Term):
     'auto'
     """
 
-    unit: ClassVar[str] = "ohm per cell"
+    unit = "ohm per cell"
     kind: Literal["gradient"] = "gradient"
     weight: Weight = "auto"
 
@@ -244,8 +244,8 @@ class GradientOfRelativeChange(Term):
     'percent per cell'
     """
 
-    needs_previous: ClassVar[bool] = True
-    unit: ClassVar[str] = "percent per cell"
+    needs_previous = True
+    unit = "percent per cell"
     kind: Literal["gradient_of_relative_change"] = "gradient_of_relative_change"
     weight: Weight = "auto"
 
@@ -265,8 +265,8 @@ class TotalVariation(Term):
     'absolute'
     """
 
-    convex_in_log: ClassVar[bool] = True
-    unit: ClassVar[str] = "percent"
+    convex_in_log = True
+    unit = "percent"
     weight: Weight = "auto"
     loss: AnyLoss = Absolute()
     kind: Literal["total_variation"] = "total_variation"
@@ -286,7 +286,7 @@ class LogGradient(Term):
     'auto'
     """
 
-    unit: ClassVar[str] = "1 per pitch"
+    unit = "1 per pitch"
     weight: Weight = "auto"
     kind: Literal["log_gradient"] = "log_gradient"
 
@@ -307,9 +307,9 @@ class LogRatio(Term):
     'log_ratio'
     """
 
-    needs_previous: ClassVar[bool] = True
-    convex_in_log: ClassVar[bool] = True
-    unit: ClassVar[str] = "percent"
+    needs_previous = True
+    convex_in_log = True
+    unit = "percent"
     weight: Weight = "auto"
     loss: AnyLoss = Absolute()
     kind: Literal["log_ratio"] = "log_ratio"
@@ -331,9 +331,9 @@ class TotalVariationOfChange(Term):
     'absolute'
     """
 
-    needs_previous: ClassVar[bool] = True
-    convex_in_log: ClassVar[bool] = True
-    unit: ClassVar[str] = "percent"
+    needs_previous = True
+    convex_in_log = True
+    unit = "percent"
     weight: Weight = "auto"
     loss: AnyLoss = Absolute()
     kind: Literal["total_variation_of_change"] = "total_variation_of_change"
@@ -363,10 +363,10 @@ class Arrival(Term):
     'arrival'
     """
 
-    needs_previous: ClassVar[bool] = True
-    weighs_previous: ClassVar[bool] = True
-    convex_in_log: ClassVar[bool] = True
-    unit: ClassVar[str] = "standard deviations"
+    needs_previous = True
+    weighs_previous = True
+    convex_in_log = True
+    unit = "standard deviations"
     weight: float = 1.0
     loss: AnyLoss = Huber(corner=1.25)
     kind: Literal["arrival"] = "arrival"

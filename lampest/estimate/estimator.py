@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -331,8 +331,8 @@ class UsualScale(Term):
     its scale. Readings outweigh both in all that they show.
     """
 
-    convex_in_log: ClassVar[bool] = True
-    unit: ClassVar[str] = "standard deviations"
+    convex_in_log = True
+    unit = "standard deviations"
     kind: Literal["usual_scale"] = "usual_scale"
     weight: float = 1.0
 

@@ -7,7 +7,7 @@ diagonal over the modules.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -204,7 +204,7 @@ class ModulesStream(Stream):
     All other attributes are those of the whole image.
     """
 
-    joined: ClassVar[bool] = True
+    joined = True
     modules: Mapping[int, Stream] = field(default_factory=dict)
 
     def restarted(self, first: Stream) -> "ModulesStream":
@@ -366,7 +366,7 @@ def image_step(layout: Modules, steps: Mapping[int, Step]) -> Step:
     )
     solutions = {number: step.solution for number, step in steps.items()}
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
-    parts: dict[str, Any] = {
+    parts = {
         name: _joined(layout, solutions, name, fill, slice(-1, None))
         for name, fill in missing.items()
     }

@@ -21,7 +21,7 @@ from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.noise import NoiseEstimate
 from lampest.inference.prepared import Prepared
 from lampest.inference.readings.outliers import WINDOW
-from lampest.panel.panel import Array, Numbers
+from lampest.panel.panel import Numbers
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change
 from lampest.recording.recording import (
@@ -522,7 +522,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         places = _own_frames(recording, frames)
         # the strongest frame of the part, by the change of its cleaned readings
         change = mean_change(cleaned.plain_values[places], resting.value)
-        size: Array = np.where(cleaned.enough(stored.scene)[places], change, -1.0)
+        size = np.where(cleaned.enough(stored.scene)[places], change, -1.0)
         place = int(np.argmax(size))
         assert recording.number is not None
         candidates.append((float(size[place]), int(recording.number[places[place]])))

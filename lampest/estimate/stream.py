@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -185,7 +185,7 @@ class Stream(SequenceState):
         error bars; of a panel those of each module, with its number before the names. The initial
         stream, with scene, estimator and baseline, is not included.
         """
-        arrays: dict[str, Any] = {"previous": self.previous}
+        arrays = {"previous": self.previous}
         if self.track is not None:
             arrays |= {"deviation": self.track.deviation, "answers": self.track.answers}
             if self.track.memory is not None:

@@ -381,7 +381,7 @@ def _possible_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> str:
     objects = [node["properties"] for node in nodes if "properties" in node]
     key = str(location[-1])
     # The only values of keys. Objects of another kind have another constant for a shared key.
-    constants: list[Any] = [
+    constants = [
         {
             name: node.get("enum", [node["const"]] if "const" in node else [])
             for name, node in properties.items()
@@ -463,8 +463,8 @@ def _meant_choice(faults: Sequence[Any]) -> str:
 
     All faults are of one value, and the known words are a closed list.
     """
-    choices: list[str] = []
-    words: list[str] = []
+    choices = []
+    words = []
     for fault in faults:
         context = fault.get("ctx", {})
         word = context.get("tag", fault["input"])
@@ -479,7 +479,7 @@ def _location(fault: Any, content: Any) -> tuple[Any, ...]:
     """Return the location of a fault without the keys by which a validator names alternatives."""
     place = []
     parts = fault["loc"]
-    chosen: Any = None  # the mapping whose kind was passed: a kind may be called as one of its keys
+    chosen = None  # the mapping whose kind was passed: a kind may be called as one of its keys
     for number, part in enumerate(parts):
         if isinstance(content, dict) and content.get("kind") == part and chosen is not content:
             chosen = content

@@ -496,7 +496,7 @@ def datasets(file: File, path: str) -> dict[str, Dataset]:
     Links, and datasets whose values are in other files, are left out. Raises InputError if a part
     of the file is damaged.
     """
-    found: dict[str, Dataset] = {}
+    found = {}
 
     def take(name: str, node: Any) -> None:
         if isinstance(node, Dataset) and not (node.is_virtual or node.external):
@@ -519,7 +519,7 @@ def _node_or_none(file: File, path: str, kind: type = object) -> Any:
 
     Raises InputError for links.
     """
-    node: Any = file
+    node = file
     for part in filter(None, path.split("/")):
         name = part.encode()
         # `exists` raises for a damaged group, for which `get` would return None.

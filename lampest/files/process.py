@@ -205,7 +205,7 @@ def ending_signals(
     terminal sends several: a second KeyboardInterrupt would meet the clean-up after the first one.
     One inside a destructor, where Python prints and loses it, is raised again.
     """
-    requests: list[tuple[str, float]] = []
+    requests = []
 
     def note(number: int) -> None:
         requests.append((signal.Signals(number).name, time.monotonic()))

@@ -253,7 +253,7 @@ def _arguments(
 ) -> dict[str, Any]:
     """Return validated arguments by parameter."""
     signature = _signature(owner)
-    arguments: Mapping[str, Any] = kwargs
+    arguments = kwargs
     # `dataclasses.replace` names all of them
     if args or kwargs.keys() != signature.parameters.keys():
         try:
@@ -359,7 +359,7 @@ def _finished(parts: Iterable[Any]) -> tuple[type, ...]:
     Dataclasses have validated their own arguments. An object of such a type needs no schema of all
     that it contains.
     """
-    finished: list[type] = []
+    finished = []
     for part in parts:
         if part is type(None) or (isinstance(part, type) and is_dataclass(part)):
             finished.append(part)
@@ -444,7 +444,7 @@ class ByKind:
         union = Annotated[source, self]
         named = {"type": "with-info", "function": self._validated}
         later = {"type": "function-plain", "function": named}
-        choices: dict[str, Any] = dict.fromkeys(self.members, later)
+        choices = dict.fromkeys(self.members, later)
         for member in (*_listed(union), *_installed_members(union)):
             for kind in kinds_of(member):
                 choices[kind] = handler.generate_schema(member)

@@ -149,7 +149,7 @@ class Values:
         Inputs of the terms that have no frame are the same in all blocks.
         """
         first = self.data[0]
-        given: dict[str, Array | float] = dict(first.flat)
+        given = dict(first.flat)
         for name, source in first.given.sources().items():
             if source.per_frame:
                 given[name] = np.concatenate([data.flat[name] for data in self.data])

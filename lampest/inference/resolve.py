@@ -279,6 +279,6 @@ def resolved_scene(scene: Scene, noise: NoiseEstimate) -> Scene:
             scene = entry.load().stated(scene, keys, noise)
     for key in others:
         part, _, name = key.partition(".")
-        stated: dict[str, Any] = {part: replace(getattr(scene, part), **{name: noise.number(key)})}
+        stated = {part: replace(getattr(scene, part), **{name: noise.number(key)})}
         scene = replace(scene, **stated)
     return replace(scene, estimated=estimated)

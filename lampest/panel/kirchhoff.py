@@ -63,7 +63,7 @@ def bipartite_matrix(diagonal: Array, between: Array) -> Array:
 def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
     """Return the product of bipartite_matrix(d, A) and V (…, lines, patterns)."""
     rows = between.shape[-2]
-    product: Array = diagonal[..., None] * values
+    product = diagonal[..., None] * values
     product[..., :rows, :] += between @ values[..., rows:, :]
     product[..., rows:, :] += between.swapaxes(-1, -2) @ values[..., :rows, :]
     return product
@@ -96,7 +96,7 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
     check_line_memory(rows, columns)
     row_sums, shares, schur = _without_rows(conductance, ties)
     # Z_kk' = S⁻¹, Z_jk = diag(a)⁻¹ G S⁻¹, Z_jj' = diag(a)⁻¹ + diag(a)⁻¹ G S⁻¹ Gᵀ diag(a)⁻¹
-    within: Array = np.linalg.inv(schur)
+    within = np.linalg.inv(schur)
     inverse = np.empty((*ties.shape, rows + columns), dtype=within.dtype)
     between = shares @ within
     inverse[..., rows:, rows:] = within

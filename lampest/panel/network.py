@@ -119,7 +119,7 @@ class Network(ABC):
         In the base class it contains the diagonal of J only; kinds of networks may add the parts of
         lines.
         """
-        diagonal: Array = weight * self.own_response() ** 2
+        diagonal = weight * self.own_response() ** 2
         none = LineBlocks(np.zeros((0, 0, sum(diagonal.shape))), np.zeros((0, 0, *diagonal.shape)))
         return NormalByLines(diagonal, np.zeros((0, *diagonal.shape)), none, none)
 
@@ -568,7 +568,7 @@ class SolvedSecondOrder(SecondOrder):
         """Return H = 2 g (X ∘ DᵀWD) g plus the curvature of h, (…, cells, cells)."""
         network = self.network
         conductance = network.flat_conductance
-        matrix: Array = network.transfer * (2 * conductance[..., None])
+        matrix = network.transfer * (2 * conductance[..., None])
         matrix *= network.between_cells(self._weighed)
         matrix *= conductance[..., None, :]
         if network.curvatures is not None:

@@ -160,7 +160,7 @@ class LinearModel:
     def data_curvature(self) -> Array:
         """Curvature ω of the data, (data rows,); zero for rows of missing or one-sided readings."""
         side = self.at.data.given.side
-        curvature: Array = self.at.weights[self._residuals.data.term] * (self.noise > 0)
+        curvature = self.at.weights[self._residuals.data.term] * (self.noise > 0)
         if side is not None and np.any(side):
             curvature = curvature * ~(abs(self.through) @ np.abs(side.ravel()) > 0)
         for _, loss, rows in curved_rows(self.at.cost, self._residuals.data.term):
@@ -246,7 +246,7 @@ class LinearModel:
 
     def penalty_curvature_for(self, weights: Array) -> Array:
         """Return the curvature ω of the penalties for given weights (terms,), (penalty rows,)."""
-        curvature: Array = weights[self.penalty_term]
+        curvature = weights[self.penalty_term]
         for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
             curvature[rows] *= loss.penalty_curvature(
                 self.penalty[rows], weights[number], self.scale

@@ -12,7 +12,6 @@ is S but for the prior term ε s⁴. Standard deviations from n samples scatter 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -67,7 +66,7 @@ class SampledErrors(DenseErrors):
         itself.
     """
 
-    exact: ClassVar[bool] = False
+    exact = False
     samples: int = 100
     probes: int = 8
     accuracy: float = 1e-3

@@ -101,7 +101,7 @@ class Spectrum:
         # A = R Rᵀ of the data, the other penalties and the prior precision
         matrix = jacobian.T @ jacobian + (rows[~of_term].T * curvature) @ rows[~of_term]
         matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
-        factor: Array = cho_factor(matrix, lower=True)[0]
+        factor = cho_factor(matrix, lower=True)[0]
         # R⁻¹ Zᵀ, with rows of Z weighted by √(½ρ'(x)/x)
         loss = model.at.cost.terms[number].loss
         residual = model.penalty[of_term]

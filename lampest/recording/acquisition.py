@@ -158,7 +158,7 @@ class Acquisition(Validated):
         """
         if not hdf5.has(file, PATH):
             return None
-        fields: dict[str, Any] = {
+        fields = {
             name: hdf5.read_array(
                 file, f"{PATH}/{name}", 1, part=part, kind=None if kind == "f8" else kind
             )

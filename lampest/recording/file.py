@@ -175,7 +175,7 @@ def write_frames(file: File, scene: Scene, held: Mapping[str, Any]) -> None:
                     hdf5.write_scale(group, place, at, unit, words)
                 else:
                     hdf5.write_dataset(group, place, at, unit, words, along)
-        meanings: dict[str, Any] = flags if field == "role" else {}
+        meanings = flags if field == "role" else {}
         hdf5.write_dataset(
             group, signal, values.astype(kind), units, long_name, axes[values.ndim], **meanings
         )

@@ -366,7 +366,7 @@ class CaseResult(Content):
             self._check_shape(self._path(column), held, column.axes)
         present = self.scene.panel.present
         # Estimates are expected in solved frames, of modules that have any.
-        estimated: Mask = np.broadcast_to(self.solved[:, None, None], self.measured.shape)
+        estimated = np.broadcast_to(self.solved[:, None, None], self.measured.shape)
         layout = self.scene.panel.modules
         if layout is not None:
             known = layout.split(np.isfinite(self.cell_resistance))

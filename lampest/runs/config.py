@@ -401,7 +401,7 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     for part in ("solver", "bounds"):
         merged[part] = shared.get(part, {}) | written.get(part, {})
     try:
-        entry: EstimatorEntry = adapter(EstimatorEntry).validate_json(json.dumps(merged))
+        entry = adapter(EstimatorEntry).validate_json(json.dumps(merged))
     except ValueError as error:
         raise document.error(("estimators", name), "does not fit the run") from error
     try:

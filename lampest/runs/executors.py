@@ -268,7 +268,7 @@ class Dask(Executor):
         with ExitStack() as stack:
             stack.enter_context(_silence())
             stack.enter_context(_library("dask").config.set(SCHEDULING))
-            where: dict[str, Any] = {"address": self.address, "scheduler_file": self.scheduler_file}
+            where = {"address": self.address, "scheduler_file": self.scheduler_file}
             place = self.address or self.scheduler_file
             if place is None:
                 workers = min(self.workers or cores(), tasks)

@@ -212,7 +212,7 @@ def _begun(file: File, first: str) -> Group:
 
 def _check_together(cases: Sequence[CaseResult], columns: Columns) -> None:
     """Raise InputError unless all cases of a recording have the same measurement."""
-    estimators: set[str] = set()
+    estimators = set()
     for case in cases:
         first = cases[0]
         shared = [column.name for column in case.described(columns) if column.shared]
@@ -246,7 +246,7 @@ def _write_case(group: Group, case: CaseResult, columns: Columns) -> None:
             hdf5.write_dataset(measurement, name, hdf5.ascii_array(text), "1", words)
         _write_variables(measurement, case, [each for each in variables if each.shared])
     estimate = _group_of_data(group, case.estimator, "cell_resistance")
-    attributes: dict[str, Any] = {
+    attributes = {
         name: value
         for name, (item, default) in ATTRIBUTES.items()
         if (value := getattr(case, item)) != default
@@ -477,7 +477,7 @@ def _read_recording(file: File, name: str, table: Columns, part: slice) -> list[
 
     start_path = f"{base}/start_time"
     start = hdf5.read_text(file, start_path) if hdf5.has(file, start_path) else ""
-    about: dict[str, Any] = {"recording": name, "scene": scene, "start_time": start}
+    about = {"recording": name, "scene": scene, "start_time": start}
     measurements = values_in(base, shared=True)
     cases = []
     for estimator in estimators:

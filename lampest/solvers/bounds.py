@@ -24,7 +24,7 @@ def free_cells(at: Evaluation, gradient: Array) -> Mask:
     lower, upper = at.data.log_bounds
     slope = gradient.reshape(at.position.shape)
     held = ((at.position <= lower) & (slope > 0)) | ((at.position >= upper) & (slope < 0))
-    free: Mask = (lower < upper) & ~held
+    free = (lower < upper) & ~held
     return free.reshape(gradient.shape)
 
 

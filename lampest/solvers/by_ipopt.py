@@ -10,7 +10,7 @@ ones of the previous frame.
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import log
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -109,7 +109,7 @@ class Ipopt(Solver):
         End of the frame before.
     """
 
-    cells_alone: ClassVar[bool] = False
+    cells_alone = False
 
     readout: Readout
     wiring: Wiring | None

@@ -450,5 +450,5 @@ def square_of_rows(rows: sparse.csr_array, weight: Array) -> Array:
 
 def weighted_square(matrix: Array, weight: Array) -> Array:
     """Return AᵀWA, (…, cells, cells), for A (…, rows, cells) and diagonal weights W (…, rows)."""
-    square: Array = (matrix * weight[..., None]).swapaxes(-1, -2) @ matrix
+    square = (matrix * weight[..., None]).swapaxes(-1, -2) @ matrix
     return square

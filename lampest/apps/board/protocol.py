@@ -8,7 +8,7 @@ from binascii import crc_hqx
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -323,7 +323,7 @@ def _read_piece(piece: bytes) -> Message:
 
 def _read_hello(body: bytes) -> Hello:
     """Return the HELLO of a message's body."""
-    fields: Any = list(_HELLO.unpack(body[: _HELLO.size]))[2:]
+    fields = list(_HELLO.unpack(body[: _HELLO.size]))[2:]
     wiring, drive = _HELLO_WIRING.unpack(body[_HELLO.size :] or bytes(_HELLO_WIRING.size))
     fields[6] = divmod(fields[6], 256)
     fields[13] = ACROSS[fields[13]]

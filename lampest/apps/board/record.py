@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 
-from lampest.apps.board.journal import Journal, UnwrittenError, finished, journal_for
+from lampest.apps.board.journal import UnwrittenError, finished, journal_for
 from lampest.apps.board.sample import (
     CLOCK_JUMPED,
     CLOCK_STOPPED,
@@ -206,7 +206,7 @@ def record(
             contextlib.closing(samples_of(listening)) as batches,
             contextlib.ExitStack() as stack,
         ):
-            journal: Journal | None = None
+            journal = None
             for batch in _wanted(batches, frames, seconds, boards.period or 1.0):
                 if batch:
                     states[:] = [""]

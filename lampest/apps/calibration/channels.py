@@ -181,7 +181,7 @@ def _channel_deviations(covariance: Array, rows: int, columns: int) -> tuple[flo
 
 def _corrected(scene: Scene, errors: Array) -> Scene:
     """Return the scene with its reference and channels corrected by these errors."""
-    readout: Any = off_by(scene.readout or scene.circuit, float(errors[0]))
+    readout = off_by(scene.readout or scene.circuit, float(errors[0]))
     of_rows, of_columns = np.split(errors[1:], [scene.panel.rows])
     if readout.unit != "ohm":
         return replace(scene, readout=_rounded(behind_channels(readout, of_rows, of_columns)))

@@ -124,7 +124,7 @@ def clock_of(
         seconds, cut = _growing(seconds, where)
         return clock._replace(seconds=seconds, sentence=f"{clock.sentence}{cut}")
     dated = any(match[1] for match in map(STAMP.fullmatch, map(str.strip, texts)) if match)
-    ways: dict[str, list[str]] = {}
+    ways = {}
     for way in DATES if dated else ("time of day",):
         with suppress(ValueError):  # of a text that is no date in this order
             ways[way] = [_iso(text, way) for text in texts]

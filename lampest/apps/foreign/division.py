@@ -143,7 +143,7 @@ def learned_ends(table: ReadingsTable, arrangement: TableLayout) -> FrameEnds:
 
 def _key_texts(table: ReadingsTable, arrangement: TableLayout) -> dict[str, Sequence[str]]:
     """Return the texts of the frame's number and of the time of each line, where they have them."""
-    texts: dict[str, Sequence[str]] = {}
+    texts = {}
     if "frame" in arrangement.roles:
         texts["frame"] = table.fields[:, arrangement.roles["frame"]].tolist()
     stamps = table.stamps(arrangement.times).texts

@@ -390,8 +390,8 @@ def _of_folder(path: Path, shape: Shape, chosen: Chosen) -> Frames:
 
 def _of_sheets(path: Path, shape: Shape, sheet: str | None, layout: str | None) -> Frames:
     """Return the frames of the only sheet that fits; if none fits, raise the error of the first."""
-    fitting: dict[str, Frames] = {}
-    wrong: InputError | None = None
+    fitting = {}
+    wrong = None
     for title, lines in lines_of_sheets(path, sheet).items():
         try:
             fitting[title] = frames_of(readings_table(lines, layout), shape)

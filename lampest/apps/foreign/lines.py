@@ -299,7 +299,7 @@ def lines_of_sheets(path: Path, name: str | None) -> dict[str, FieldLines]:
         sheets = {str(sheet.title): sheet for sheet in book.worksheets}
         if name is not None and name not in sheets:
             raise InputError(f"{path}: no sheet '{name}'; there are {', '.join(sheets) or 'none'}")
-        tables: dict[str, FieldLines] = {}
+        tables = {}
         for title in sheets if name is None else [name]:
 
             def at(number: int, field: int | None, title: str = title) -> str:

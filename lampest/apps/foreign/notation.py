@@ -226,7 +226,7 @@ def values_beside_names(content: str) -> dict[str, str] | None:
     single = CELL.fullmatch(content)
     if single is not None and cell_of(single["cell"]):
         return single.groupdict()
-    values: dict[str, str] = {}
+    values = {}
     at = 0
     while at < len(content):
         pair = PAIR.match(content, at)

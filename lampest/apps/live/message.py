@@ -363,7 +363,7 @@ def _centre(message: Message) -> list[float] | None:
 
 def _panel(panel: Panel) -> Content:
     """Return size, pitch in mm, modules and listed places of a panel, as messages have them."""
-    about: Content = {name: getattr(panel, name) for name in ("rows", "columns", "pitch_mm")}
+    about = {name: getattr(panel, name) for name in ("rows", "columns", "pitch_mm")}
     if panel.modules is not None:
         each = panel.modules.each
         about |= {"modules": [each.rows, each.columns], "seam_mm": panel.modules.seam_mm}

@@ -84,7 +84,7 @@ class LslPublish(Publish):
     has a line of JSON whenever the answer or the alarm changes.
     """
 
-    kind: ClassVar[str] = "lsl"
+    kind = "lsl"
 
     @classmethod
     def at(cls, where: SplitResult, token: str | None) -> Self:
@@ -161,7 +161,7 @@ class OscPublish(Publish):
     datagram is left out.
     """
 
-    kind: ClassVar[str] = "osc"
+    kind = "osc"
     port: int = 9000
 
     @contextmanager
@@ -259,7 +259,7 @@ class MqttPublish(Publish):
     not been confirmed for 0.2 s.
     """
 
-    kind: ClassVar[str] = "mqtt"
+    kind = "mqtt"
     host: str = "localhost"
     port: int = 1883
 
@@ -330,7 +330,7 @@ class WebsocketPublish(Publish):
     elsewhere a token is needed. Port 0 stands for any free port.
     """
 
-    kind: ClassVar[str] = "websocket"
+    kind = "websocket"
     port: int = 8138
 
     @contextmanager

@@ -225,7 +225,7 @@ def chosen(
         where = "there are"
     else:
         document = read_document(config, settings)
-        run: RunFile = validated(document, RunFile)
+        run = validated(document, RunFile)
         known = [*run.estimators]
         where = f"{config} has"
     name = name or known[0]

@@ -277,7 +277,7 @@ class Constants:
         losses = [(self.data_loss, self.data_corner)]
         losses += [(term.loss, term.corner) for term in self.penalties]
         # The ranges are those that `constants_are_sound` of the library allows.
-        numbers: dict[str, tuple[Any, float, float]] = {
+        numbers = {
             "cells at rest, ohm,": (self.baseline, MIN_OHM, MAX_OHM),
             "noise, volt,": (self.sigma_volt, 1e-12, 1e6),
             "noise of plain misfits": (self.plain_sigma, 0.0, 1e12),

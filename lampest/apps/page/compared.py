@@ -187,7 +187,7 @@ def matched(recordings: Recordings) -> Matched:
         if np.mean(solved) < MIN_SOLVED:
             names.remove(name)
             left_out.append(f"{name} failed in {int(np.sum(~solved))} of {len(solved)} frames")
-    chosen: dict[str, NDArray[np.bool_]] = {}
+    chosen = {}
     for recording, cases in common.items() if names else ():
         solved = np.all([cases[name].solved for name in names], axis=0)
         if np.any(solved):

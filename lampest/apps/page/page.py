@@ -311,7 +311,7 @@ def figures(case: CaseResult) -> dict[str, Any]:
     residual = weighted_residual(case)
     lower = case.cell_resistance_lower
     upper = case.cell_resistance_upper
-    by_line: dict[str, Any] = figures_of(case, np.ones(len(case.time), bool))
+    by_line = figures_of(case, np.ones(len(case.time), bool))
     by_line |= statistics(residual**2, "residuals: {} of ((model − measured)/σ)²", "mean")
     by_line[SPREAD] = statistics(MAD_TO_SIGMA * np.abs(residual), "{}", "median")["median"]
     if lower is not None and upper is not None:

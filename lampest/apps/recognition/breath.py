@@ -104,8 +104,8 @@ def breath(interval: SteadyFrames, changes: Array, patterns: Patterns) -> Breath
         Whitened changes of ln y.
     patterns : Patterns
     """
-    suction: Array = np.ones(len(interval.times))
-    spans: list[Mask] = [np.ones(len(interval.times), dtype=bool)]
+    suction = np.ones(len(interval.times))
+    spans = [np.ones(len(interval.times), dtype=bool)]
     if interval.part.any():
         # A breath swings by a share of the suction. While that is pulled, it is larger, and so are
         # the swings.

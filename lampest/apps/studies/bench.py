@@ -264,7 +264,7 @@ PROBLEM = attrgetter("rows", "columns", "method", "frames")  # of rows that diff
 
 def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
     """Return rows by panel, method (all together first), solver, and first or later frames."""
-    rows: list[study.Row] = []
+    rows = []
     for panel in grouped(frames, lambda frame: frame.shape).values():
         for name, chosen in {ALL: panel, **grouped(panel, lambda frame: frame.method)}.items():
             for several in grouped(chosen, lambda frame: frame.solver).values():
@@ -333,7 +333,7 @@ def sheets(bench: Bench) -> list[study.Sheet]:
     def without(*titles: str) -> Columns:
         return {title: of for title, of in SCREEN.items() if title not in titles}
 
-    titled: list[study.Sheet] = [
+    titled = [
         ("solvers: all methods together", totals, without("method", "quartiles")),
         ("methods: the reduced solver", ours, without("solver")),
     ]

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class ConstrainedIpopt(Solver):
         Solution of the frame before, where the next one begins.
     """
 
-    cells_alone: ClassVar[bool] = False
+    cells_alone = False
 
     readout: Readout
     wiring: Wiring | None
@@ -112,7 +112,7 @@ class ConstrainedMethod(Method):
     parts : tuple of ProgramPart
     """
 
-    optimum: ClassVar[bool] = True
+    optimum = True
     kind: Literal["nodal", "per_pixel"] = "nodal"
     parts: tuple[AnyPart, ...] = ()
 

@@ -405,7 +405,7 @@ class OptimalMethod(Method):
     'reduced'
     """
 
-    optimum: ClassVar[bool] = True
+    optimum = True
     kind: Literal["per_pixel", "nodal", "reduced", "auto"] = "nodal"
     joint: bool = False
 

@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf
 from time import monotonic, perf_counter
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -90,8 +90,8 @@ class SmootherMethod(Method):
     'smoother'
     """
 
-    optimum: ClassVar[bool] = True
-    needs_all_frames: ClassVar[bool] = True
+    optimum = True
+    needs_all_frames = True
     kind: Literal["smoother"] = "smoother"
     walk: float = 0.1
     jump: float = 3.0

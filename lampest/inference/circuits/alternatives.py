@@ -29,7 +29,7 @@ from lampest.inference.circuits.kinds import (
 from lampest.panel.lines import SeriesPerLine, opposite
 from lampest.panel.panel import Array, Numbers
 from lampest.panel.readouts import Readout
-from lampest.panel.readouts.converter import Characteristic, Known
+from lampest.panel.readouts.converter import Characteristic
 from lampest.panel.readouts.scan_order import by_columns
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
@@ -107,7 +107,7 @@ class Alternative:
         entries = dict(self.entries)
         circuit = self.scene.circuit
         if self.in_series is not None and not self.at_limit:
-            series: dict[str, Any] = {self.scene.series_name: float(f"{self.in_series:.2g}")}
+            series = {self.scene.series_name: float(f"{self.in_series:.2g}")}
             entries |= (
                 series
                 if circuit.unit == "ohm"
@@ -273,7 +273,7 @@ def other_converters(specified: Alternative, *, reversed_too: bool) -> Iterator[
     readout = specified.scene.readout
     if readout is None or readout.converter is not None:
         return
-    names: list[Known] = ["inverting amplifier"] if reversed_too else []
+    names = ["inverting amplifier"] if reversed_too else []
     names += ["esp32"] if readout.adc_bits == ESP32_BITS else []
     for name in names:
         kind = f"readout.converter: {name}"

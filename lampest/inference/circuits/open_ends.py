@@ -199,7 +199,7 @@ def _possible(
 
     assert specified.pair is not None
     without = specified.pair.density_of_loads
-    tried: list[TriedEnd] = []
+    tried = []
     most = 0.0
     near = specified
     for entries, scene in end.scenes:

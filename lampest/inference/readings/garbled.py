@@ -128,7 +128,7 @@ def _garbled_among(
     threshold = np.fmax(OUTLIER_THRESHOLD * scale, MIN_RATIO_TO_SCATTER * spread)
     with np.errstate(invalid="ignore"):
         deviates = np.abs(values - expected) > threshold
-    suspicious: list[int] = np.flatnonzero(deviates.any(axis=(1, 2))).tolist()
+    suspicious = np.flatnonzero(deviates.any(axis=(1, 2))).tolist()
     ends = (0.0,)
     if readout is not None:
         ends = tuple(readout.volt_from_recorded(np.array(readout.rails())).tolist())
@@ -322,7 +322,7 @@ class Along:
         contrast = MAD_TO_SIGMA * median(rough, 2) / np.sqrt(12)
         # −2 ln of the density of a load's readings, over that of a reading without deviation
         of_load = 2 * np.log(np.maximum(contrast / noise, 1.0))
-        gains: list[Array] = []
+        gains = []
         for image in images:
             predicted = _elsewhere(image)
             unloaded = np.abs(predicted - film) < NOISE_REACH * noise

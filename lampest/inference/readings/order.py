@@ -262,7 +262,7 @@ def cell_changes(scene: Scene, readings: Readings, unloaded: Mask) -> CellChange
     loaded = readings[~unloaded]
     scaled = np.where(loaded.seen > 0, loaded.value - resting.value, 0.0) / sigma
     significance = np.sqrt(np.mean(scaled**2, axis=(1, 2)))
-    gain: Array = np.ones(sigma.shape)
+    gain = np.ones(sigma.shape)
     with suppress(*BROKEN):
         fit = local_fit(scene, replace(resting, sigma=sigma))
         if fit.jacobian.size:

@@ -5,7 +5,7 @@ A divider with a reference resistor measures the resistance.
 
 from dataclasses import dataclass, fields
 from math import inf
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -186,7 +186,7 @@ class TwoPointReadout(Readout):
         """
         if self.groups is None or len(self.groups) < 2:
             return self
-        numbers: dict[str, Any] = {key.name: getattr(self, key.name) for key in fields(self)}
+        numbers = {key.name: getattr(self, key.name) for key in fields(self)}
         rows, columns = scene.series_lines
         return ParallelDividers(**numbers, row_ohm=tuple(rows), column_ohm=tuple(columns))
 

@@ -83,7 +83,7 @@ def read_simulations(
     """
     path = Path(path)
     document = read_document(path, settings)
-    simulations: dict[str, Simulation] = {}
+    simulations = {}
     planned = combinations(document, lambda varied: simulation_of(_drawn(varied)))
     for number, case in enumerate(planned, start=1):
         template = case.value.output or f"{path.stem}{'_{case:03d}' if len(planned) > 1 else ''}.h5"

@@ -198,7 +198,7 @@ def long_tables(cases: Cases) -> tuple[list[Table], dict[str, Column]]:
     tables = list[Table]()
     meanings = {word: Column(word, FRAMES, "1", f"name of the {word}", dtype=str) for word in NAMES}
     for case in cases:
-        table: dict[str, Values] = {
+        table = {
             word: np.ma.masked_array(np.full(case.measured.size, getattr(case, word), object))
             for word in NAMES
         }
@@ -321,7 +321,7 @@ def write_matlab(path: Path, name: str, columns: Mapping[str, Sequence[object]])
     arrays = {}
     for column, values in columns.items():
         words = any(isinstance(value, str) for value in values)
-        blank: object = "" if words else np.nan
+        blank = "" if words else np.nan
         known = [blank if value is None else value for value in values]
         arrays[column] = np.array(known, dtype=object if words else float)[:, None]
     savemat(path, {name: arrays})

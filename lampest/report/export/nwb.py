@@ -127,7 +127,7 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
     rows, lines = np.indices(panel.shape)
     x, y = panel.places_mm
     place = "position of the cell, mm"
-    places: list[tuple[str, str, Any]] = [
+    places = [
         ("row", "row line", rows),
         ("column", "column line", lines),
         ("y_mm", place, y),

@@ -271,7 +271,7 @@ class MapPainter:
         self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28
     ) -> None:
         """Draw the colour bar of some axes of a figure next to them."""
-        placed: dict[str, Any] = {}
+        placed = {}
         if (ticks := self.scale.ticks) is not None:
             # Numbers beside each other need more room than above each other.
             step = ceil(len(ticks) / MAX_TICKS_ACROSS) if location == "bottom" else 1
@@ -473,7 +473,7 @@ def maps_figure(
         if map_width < 5 * TICK_INCH:
             axes.locator_params(axis="x", nbins=max(1, int(map_width / TICK_INCH)))
     # The maps beside which a colour bar stands: each, those of a row, or all.
-    beside: Any = grid.flat if own_bars else grid if in_rows else [grid]
+    beside = grid.flat if own_bars else grid if in_rows else [grid]
     for painter, axes in zip(painters, beside, strict=False):
         painter.bar(figure, axes, "right", aspect=tall / 0.16)
     shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)

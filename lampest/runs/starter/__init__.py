@@ -77,7 +77,7 @@ class StarterCircuit:
 def circuits() -> dict[str, StarterCircuit]:
     """Return the circuits by their words; those of a kind that is not installed are left out."""
     document = parse_document(_template("circuits.yaml"), "circuits.yaml")
-    every: dict[str, StarterCircuit] = validated(document, dict[str, StarterCircuit])
+    every = validated(document, dict[str, StarterCircuit])
     return {word: circuit for word, circuit in every.items() if circuit.kind in KINDS}
 
 

@@ -132,7 +132,7 @@ class Known:
         setup = replace(
             WatchSetup.of(self.scene, errors, self.patch_mm, noise), explained=self.explained
         )
-        kind: type[Watch] | type[ImageWatch] = Watch if panel.modules is None else ImageWatch
+        kind = Watch if panel.modules is None else ImageWatch
         return kind.begin(setup, self.resting, self.sigma, self.unloaded, self.begin)
 
     @ONE_BLAS_THREAD

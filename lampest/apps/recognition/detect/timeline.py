@@ -145,7 +145,7 @@ def season(visits: Sequence[Visit]) -> Figure:
     highest = max(24.0, *(hours + lasted))
     names = list(dict.fromkeys(days))
     places = np.array([names.index(day) for day in days])
-    look: dict[str, Any] = {"orientation": "horizontal", "rwidth": 0.8, "alpha": 0.8}
+    look = {"orientation": "horizontal", "rwidth": 0.8, "alpha": 0.8}
     for name in reversed(COLOURS):
         own = np.array([visit.answer == name for visit in visits])
         if own.any():
