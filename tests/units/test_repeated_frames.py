@@ -1,4 +1,4 @@
-"""Frames that are stored twice, beside those that a converter repeats because it hardly has noise."""
+"""Frames that are stored twice, beside those that a converter with little noise repeats."""
 
 import numpy as np
 import pytest
