@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, SIGNIFICANCE, TWO_SIDED
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, SIGNIFICANCE, TWO_SIDED, UNUSUAL
 from lampest.inference.readings.repeated import QUIET_SHARE
 from lampest.panel.conditions import motion_patterns
 from lampest.panel.equation import equation_of
@@ -165,7 +165,7 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     The result is None without three frames or without rest. Of three successive frames the second
     difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, also during uniform motion. Its median
     over the still readings is that of noise, and only the quietest quarter of the triples counts.
-    A reading is still if its difference is within NOISE_REACH of this noise. Where first
+    A reading is still if its difference is within UNUSUAL of this noise. Where first
     differences, divided by √2 σ, are larger by MIN_EXCESS, motion remains and the scatter is only
     an upper bound: it is then not taken for noise above the specified one.
     """
@@ -184,7 +184,7 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     still = np.isfinite(second)
     for _ in range(MAX_STILL_ROUNDS):
         noise = np.nanmedian(np.where(still, second, np.nan), axis=(1, 2), keepdims=True)
-        at_rest = second <= NOISE_REACH * MAD_TO_SIGMA * noise
+        at_rest = second <= UNUSUAL * MAD_TO_SIGMA * noise
         if (at_rest == still).all():
             break
         still = at_rest

@@ -1,4 +1,4 @@
-"""Frames that are stored twice, beside those that a converter with little noise repeats."""
+"""Frames that are stored twice, and those that a converter repeats because it hardly has noise."""
 
 import numpy as np
 import pytest
