@@ -79,7 +79,6 @@ BLOCKS = {
     "numbers": "\n".join(
         f"{number}\n" + "\n".join(lines(frame, " ")) for number, frame in enumerate(CODES)
     ),
-    "nothing": blocks(",", "\n"),
     "every line alone": "\n\n".join("\n\n".join(lines(frame)) for frame in CODES),
     "python lists": "\n".join(f"[{line}]" for frame in CODES for line in lines(frame, ", ")),
     "titles of a chip": "ets Jun  8 2016 00:22:57\n\nentry 0x400805f0\n" + blocks(" ", "\n\n"),
@@ -104,14 +103,13 @@ STEPS = "as such they lie on the converter's steps"
 accept("means of codes", lines(MEANS), STEPS, expected=1024e3 / MEANS - 1000, scene=DIVIDER)
 EIGHT = replace(LOADED, readout=replace(LOADED.readout, readings=8))
 OF_EIGHT = CODES + CODES % 8 / 8 + 2000
-for name, written in (
-    ("Serial.print", [[f"{value:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
-    (
-        "cut digits",
-        [[f"{int(100 * value) / 100:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT],
-    ),
-    ("three digits", [[f"{value:.3f}" for value in np.ravel(frame)] for frame in OF_EIGHT]),
-):
+WAYS = {
+    "cut digits": [
+        [f"{int(100 * value) / 100:.2f}" for value in np.ravel(frame)] for frame in OF_EIGHT
+    ],
+    "three digits": [[f"{value:.3f}" for value in np.ravel(frame)] for frame in OF_EIGHT],
+}
+for name, written in WAYS.items():
     rounded = np.array(written, dtype=float).reshape(CODES.shape) * 3.3 / 4096
     accept(
         f"means of eight codes by {name}",
@@ -287,7 +285,7 @@ ALIGNED = [
     for line in lines(CODES)
 ]
 codes("columns aligned by tabs", ALIGNED, "separated by one or more tabs", "one frame a line")
-for sign in ("\t", ",", " ", ";"):
+for sign in ("\t", ",", " ", "   ", ";"):
     plain = [sign.join([str(600 + n), str(row), *line.split(",")]) for n, row, line in NUMBERED]
     codes(
         f"frame and row before the values: {sign!r}",
@@ -669,28 +667,7 @@ for written, number in (
     text = [*separated, separated[0].replace(separated[0].split(";")[0], written, 1)]
     accept(f"thousands as {written}", text, expected=expected)
 
-# One frame a line; single values.
-
-for sign, header, stamped in itertools.product(
-    (",", ";", "\t", " ", "   "), (False, True), (False, True)
-):
-    head = sign.join([*["time"] * stamped, *names("r{r}c{c}").split(",")])
-    rows = np.column_stack([[0, 0.5, 1.25, 2], WIDE]) if stamped else WIDE
-    text = [head] * header + lines(rows, sign)
-    times = [0, 0.5, 1.25, 2] if stamped else FOUR
-    how = {
-        "times": times,
-        "role": [0, 1, 1, 1],
-        "baseline_frames": 1,
-        "absent": None if header else "header",
-    }
-    accept(
-        f"a frame a line: {sign!r}, {header}, {stamped}",
-        text,
-        "row by row",
-        *["header"] * header,
-        **how,
-    )
+# Single values.
 
 
 def long_table(frames: np.ndarray, first: int = 0, swap: bool = False) -> np.ndarray:
@@ -746,30 +723,6 @@ for header, line, times in (
         f"{header} without one", text, "the reading of row 1, column 2 is missing", missing="refuse"
     )
 
-# Single values without a header: a counter or a time before row and column.
-
-for rows, columns in ((3, 4), (4, 3), (3, 5), (4, 4)):
-    single = np.random.default_rng(rows).integers(200, 900, (6, rows, columns))
-    small = replace(LOADED, panel=replace(LOADED.panel, rows=rows, columns=columns))
-    for before, first, times in (
-        ("{n}", 0, np.arange(6)),
-        ("{n}", 1, np.arange(6)),
-        ("{s}", 0, np.arange(6) / 50),
-    ):
-        text = [
-            f"{before.format(n=f + first, s=f / 50)},{r + first},{c + first},{single[f, r, c]}"
-            for f, r, c in np.ndindex(single.shape)
-        ]
-        accept(
-            f"{before} from {first} before row and column of {rows} × {columns}",
-            text,
-            "row, column, value",
-            expected=single * 3.3 / 4096,
-            times=times,
-            rows=rows,
-            columns=columns,
-            scene=small,
-        )
 accept(
     "one number a line",
     map(str, CODES.ravel()),
@@ -905,7 +858,7 @@ def test_a_table_is_imported_with_its_frames_times_and_notes(
 @pytest.mark.parametrize(
     "name",
     (
-        "a frame a line: ';', True, True",
+        "a spreadsheet in utf-8",
         "timestamp;Zeile;Spalte;Widerstand",
         "infinity in codes",
         "a recording of matsense",

@@ -222,24 +222,6 @@ def test_no_text_of_a_narrow_panels_picture_is_cut_off(kind: str, estimate: Reco
         )
 
 
-@pytest.mark.slow
-def test_titles_break_only_between_words(recording: Recording, tmp_path: Path) -> None:
-    name = "LSR-gradient_of_log.weight 0.0001 and more"
-    estimate = reconstruct(recording, [Misfit(weighting="noise")])
-    lampest.write_results(
-        tmp_path / "r.h5", [estimate.result(name), estimate.result("b"), estimate.result("c")]
-    )
-    from lampest import ChangePlot, read_results
-
-    figure = ChangePlot().draw(read_results(tmp_path / "r.h5").cases)
-    title = next(axes.get_title() for axes in figure.axes if axes.get_title().startswith("LSR"))
-    pieces = title.split("\n")[:-1]
-    assert len(pieces) > 1 and all(
-        piece[-1] in "_.-" or piece in name.split() or " " in piece for piece in pieces[:-1]
-    )
-    assert "".join(pieces).replace(" ", "") in name.replace(" ", "")
-
-
 # Lines of objects.
 
 

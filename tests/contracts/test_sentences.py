@@ -173,29 +173,6 @@ def test_info_states_the_numbers_of_single_modules_in_words(
     )
 
 
-@pytest.mark.parametrize(
-    ("added", "sentence"),
-    [
-        ("formulation: nodall", "'smoother' or a mapping, not 'nodall'; did you mean nodal?"),
-        (
-            "sweep: {estimators.smoth.terms.log_gradient.weight: [1]}",
-            "no such place in this document; did you mean smooth?",
-        ),
-        (
-            "sweep: {estimators.smooth.terms.log_gradint.weight: [1]}",
-            "no such key; did you mean log_gradient?",
-        ),
-    ],
-)
-def test_a_misspelt_word_of_a_run_file_is_answered_with_the_word_to_write(
-    added: str, sentence: str, starter: Path, lampest: Command
-) -> None:
-    run = starter / "run.yaml"
-    run.write_text(f"{run.read_text()}\n{added}\n")
-    ended = lampest("run", run)
-    assert ended.code == 2 and sentence in ended.err
-
-
 def test_a_pattern_without_quotation_marks_is_explained_and_the_starter_file_shows_them(
     starter: Path, lampest: Command
 ) -> None:

@@ -35,9 +35,6 @@ from lampest.panel.response import ratio_from_pressure
 
 READOUT = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 SCENE = Scene(Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), READOUT, 140.0)
-SMALL_PANEL = Panel(6, 6)
-STEPS = 40000
-SCALES = (0.1, 0.4, 1.0)
 
 
 @pytest.mark.slow

@@ -5,16 +5,13 @@ from typing import Any
 import pytest
 from laws.recognised import answered
 
-from lampest import Course, OralDisc, Panel, Ring, Rod, Scene, Simulation, TwoPointReadout, simulate
+from lampest import Course, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
 from lampest.apps.recognition.observation import Baseline
 from lampest.recording.recording import Recording
 from lampest.recording.shapes.shape import Shape
 
 PANEL = Panel(9, 11)
 ROD = Rod(centre_mm=(20, 30), diameter_mm=28, mass_g=300)
-OTHER_ROD = Rod(centre_mm=(80, 50), diameter_mm=28, mass_g=300)
-RING = Ring(centre_mm=(50, 40), outer_diameter_mm=44, inner_diameter_mm=32, mass_g=800)
-MOUTH = OralDisc(centre_mm=(55, 42), diameter_mm=38, rim_width_mm=6, pressure_kpa=-8, rim_kpa=20)
 
 
 def touched(*loads: Shape, frames: int = 24) -> Recording:
