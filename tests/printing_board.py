@@ -1,7 +1,7 @@
 """Boards that print, behind a pseudo-terminal, a socket, a pipe or a file: what sketches send.
 
 The forms of lines are those of published projects: rows of a mat as Arduino sketches print them,
-frames of a Teensy, labels of the Serial Plotter, objects of JSON.
+frames of a Teensy, objects of JSON.
 """
 
 import json
@@ -38,41 +38,14 @@ def rows_and_a_blank_line(number: int, codes: Array) -> str:
     return "".join(joined(row, ",") + "\r\n" for row in codes) + "\r\n"
 
 
-def rows_with_tabs_and_a_title(number: int, codes: Array) -> str:
-    """A title with the frame's time before its rows, whose numbers end with tabs."""
-    title = f"Frame {number} @ {STEP_MS * number} ms\r\n"
-    return title + "".join(joined(row, "\t") + "\t\r\n" for row in codes)
-
-
 def frame_with_millis(number: int, codes: Array) -> str:
     """millis() and all cells in one line."""
     return f"{1000 + STEP_MS * number},{joined(codes.ravel(), ',')}\r\n"
 
 
-def labelled_cells(number: int, codes: Array) -> str:
-    """A line for each cell, as r0c0:512."""
-    places = np.ndindex(codes.shape)
-    return "".join(f"r{row}c{column}:{codes[row, column]}\n" for row, column in places)
-
-
-def numbered_cells(number: int, codes: Array) -> str:
-    """A line for each cell, as 0,512."""
-    return "".join(f"{cell},{code}\r\n" for cell, code in enumerate(codes.ravel()))
-
-
 def json_frames(number: int, codes: Array) -> str:
     """An object for each frame."""
     return json.dumps({"t": STEP_MS * number, "data": codes.tolist()}) + "\n"
-
-
-FORMS: tuple[Form, ...] = (
-    rows_and_a_blank_line,
-    rows_with_tabs_and_a_title,
-    frame_with_millis,
-    labelled_cells,
-    numbered_cells,
-    json_frames,
-)
 
 
 def mat_codes(frames: int, shape: tuple[int, int], seed: int = 0) -> Array:

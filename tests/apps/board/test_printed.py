@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 from printing_board import (
     BANNER,
-    FORMS,
     STEP_MS,
-    Form,
     frame_with_millis,
     in_datagrams,
     in_file,
@@ -36,7 +34,7 @@ SCENE = Scene(Panel(*SHAPE), LoadedColumnsReadout(adc_bits=10, readings=1, noise
 FRAMES = 14
 CODES = mat_codes(FRAMES, SHAPE)
 LINES = Listening(lines=True)
-ARRIVAL_S = 0.05  # by which an arrival may be late on a busy machine, relative to 0.02 s a frame
+ARRIVAL_S = 0.05  # by which an arrival may be late on a busy machine
 
 Ports = Callable[[list[bytes]], AbstractContextManager[str]]
 
@@ -63,18 +61,6 @@ def recorded(
     """Record a port, and return the summary and the recording."""
     summary = record(replace(how, ports=(url,), scene=SCENE, baseline=2), path, frames=frames)
     return summary, Recording.load(path)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.__name__)
-def test_a_terminal_that_prints_is_a_board(form: Form, tmp_path: Path) -> None:
-    with on_terminal(printed(form, CODES)) as url:
-        summary, recording = recorded(url, tmp_path / "r.h5")
-    codes = codes_of(recording)
-    first = next(at for at in range(FRAMES) if np.array_equal(CODES[at], codes[0]))
-    np.testing.assert_array_equal(codes, CODES[first : first + len(codes)])
-    assert first <= 1 and summary.lost == 0 and summary.restarts == 0
-    assert "unit code" in summary.understood and np.all(np.diff(recording.time) > 0)
 
 
 @pytest.mark.long
