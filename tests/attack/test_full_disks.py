@@ -156,6 +156,19 @@ def test_a_disk_that_is_full_from_the_beginning_gets_no_file(
     assert not any(tmp_path.iterdir())
 
 
+def test_a_small_file_system_keeps_the_frames_that_it_has_room_for(
+    small_disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another program fills it before the first frame, and again as the recording goes on."""
+    monkeypatch.setattr(journal, "PATIENCE_SECONDS", 0.3)
+    fill(small_disk, ROOM)
+    counted: list[Progress] = []
+    with pytest.raises(InputError, match=r"no space: [\d,]+ frames? kept until"):
+        recorded(small_disk / "r.h5", frames=100_000, on_progress=counted.append)
+    recording = check_frames(small_disk / "r.h5", counted[-1].frames)
+    assert recording.acquisition.event_label == ("no space",)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("remaining", [0, FILLED_UP_TO])
 @pytest.mark.parametrize("trouble", ["", "the board is gone"])

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import random
 import shutil
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from attack.attack import (
     Rng,
     attack,
     called,
+    command,
     environment,
     small_folder,
     solvable_recording,
@@ -183,3 +185,57 @@ def test_a_killed_export_leaves_a_whole_sketch_folder(
             remaining == sorted(sketches[1]) and _content(work_folder / "sketch") == sketches[1],
             repeated.described("again"),
         )
+
+
+VERIFIED = """\
+schema: 1
+recordings: [small.h5]
+formulation: reduced
+verify: {frames: all}
+estimators:
+  LSM: {terms: {misfit: {weighting: noise}}}
+  smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 1.0}}}
+"""
+
+
+@pytest.mark.slow
+@attack(1, 20)
+def test_a_run_killed_during_verification_resumes_to_the_same_results(
+    rng: Rng, folder: Path, count: int
+) -> Outcomes:
+    work_folder = small_folder(folder / "work")
+    (work_folder / "run.yaml").write_text(VERIFIED)
+    begin = time.monotonic()
+    whole = command("run", "run.yaml", "--out", "whole", "--jobs", "1", folder=work_folder)
+    assert whole.code == 0
+    seconds = time.monotonic() - begin
+    expected = _verified(work_folder / "whole" / "results.h5")
+    draw = random.Random(int(rng.integers(2**32)))
+    for number in range(count):
+        out = f"out{number}"
+        words = ("run", "run.yaml", "--out", out, "--jobs", "1")
+        script = [sys.executable, "-c", "from lampest.cli import main; main()", *words]
+        for _ in range(2):
+            with subprocess.Popen(
+                script, cwd=work_folder, env=environment(), stderr=subprocess.PIPE
+            ) as process:
+                try:
+                    process.wait(draw.uniform(0.8, 1.0) * seconds)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+            results = work_folder / out / "results.h5"
+            if results.exists():
+                yield (
+                    PASSED if called("check", results).code == 0 else "what a kill left is damaged"
+                )
+        completed = command(*words, folder=work_folder)
+        equal = completed.code == 0 and _verified(work_folder / out / "results.h5") == expected
+        yield PASSED if equal else completed.described("the run that was killed has other results")
+        yield PASSED if not [*(work_folder / out).rglob("*.part")] else "unfinished files are left"
+
+
+def _verified(results: Path) -> list[bytes]:
+    from lampest.runs.results import read_results
+
+    cases = read_results(results).cases
+    return [array.tobytes() for case in cases for array in (case.cell_resistance, case.verified)]

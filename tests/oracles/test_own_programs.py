@@ -66,15 +66,25 @@ def test_a_panel_of_one_line_is_what_was_measured(
         assert_allclose(solved.cell_resistance_errors, data.sigma, rtol=1e-3)
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (3, 2)])
+@pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
+def test_a_program_of_fixed_cells_is_verified_without_errors(
+    shape: tuple[int, int], formulation: str
+) -> None:
+    bounds = lampest.Bounds("none", "none")
+    program = program_of(shape, formulation=formulation, bounds=bounds)
+    solved = program.subject_to("fixed", cells_of(program), 3.0).solve()
+    assert solved.status == VERIFIED
+    assert_allclose(solved.cell_resistance, 3000.0, rtol=1e-9)
+    assert_allclose(solved.cell_resistance_errors, 0.0)
+
+
 def test_more_equations_than_unknowns_have_a_sentence() -> None:
     program = program_of()
     program = program.subject_to("fixed", cells_of(program), 3.0)
     twice = program.subject_to("again", cells_of(program)[0], 3.0).solve()
     assert twice.status == "the program has more equations than unknowns"
     assert twice.iterations == 0 and np.isnan(twice.cell_resistance).all()
-
-
-# Frames without readings
 
 
 def test_an_equation_that_repeats_another_changes_nothing() -> None:
@@ -84,6 +94,9 @@ def test_an_equation_that_repeats_another_changes_nothing() -> None:
     assert twice.status == VERIFIED
     assert_allclose(twice.cell_resistance, once.solve().cell_resistance, rtol=1e-6)
     assert_allclose(twice.cell_resistance_errors, once.solve().cell_resistance_errors, rtol=1e-4)
+
+
+# Frames without readings
 
 
 def without_readings(frames: int = 3) -> lampest.Recording:
@@ -141,6 +154,13 @@ def test_a_cost_that_falls_without_limit_is_no_optimum() -> None:
     assert weak.startswith("an optimum, but some cells are determined so weakly")
 
 
+def test_a_cost_that_a_bound_ends_is_an_optimum() -> None:
+    program, own = program_of().with_unknown("own", lower=2.0, mean=3.0)
+    solved = program.with_cost(own).solve()
+    assert solved.status == VERIFIED
+    assert solved["own"][0] == pytest.approx(2.0) and solved.errors("own")[0] == 0.0
+
+
 def test_entries_of_an_unknown_have_priors_of_their_own() -> None:
     program, own = program_of().with_unknown(
         "own", size=3, mean=[1.0, 2.0, 3.0], sd=[0.5, 1.0, np.inf], lower=[0.0, 2.5, 2.0]
@@ -158,6 +178,15 @@ def test_no_array_of_an_unsolved_program_is_a_number() -> None:
     arrays = [*solved.multipliers.values(), *solved.bound_multipliers.values()]
     arrays += [solved.hessian.data, solved.covariance(), solved.sensitivity(to="measured")]
     assert all(np.isnan(array).all() for array in arrays)
+
+
+def test_an_unused_unknown_leaves_the_error_bars_of_the_cells() -> None:
+    program = program_of()
+    free = program.solve()
+    solved = program.with_unknown("unused", lower=-1.0, upper=1.0)[0].solve()
+    assert solved.status.startswith("an optimum, but a plateau")
+    assert_allclose(solved.cell_resistance_errors, free.cell_resistance_errors, rtol=1e-5)
+    assert np.isinf(solved.errors("unused")).all()
 
 
 # Wrong parts

@@ -412,6 +412,25 @@ def test_results_of_other_cases_are_renamed_and_never_replace_a_recording(
 
 
 @pytest.mark.slow
+def test_plot_draws_a_given_frame_and_estimator(tmp_path: Path, lampest: Command) -> None:
+    results = tmp_path / "results.h5"
+    new = tmp_path / "new"
+    write_results(results, [invented_case(name, "small", (2, 3, 4)) for name in ("LSM", "LSR-CR")])
+    for words, place, begin in (
+        (("--out", new), new / "contours_small_frame5.png", b"\x89PNG"),
+        (("--out", new / "x.svg"), new / "x.svg", b"<?xml"),
+        (("--out", new / "x.pdf"), new / "x.pdf", b"%PDF"),
+    ):
+        completed = lampest("plot", results, *words, "--frame", "5", "--estimator", "LSM")
+        assert completed.out.split() == [str(place)] and place.read_bytes().startswith(begin)
+    shutil.rmtree(new)
+    for wrong in (("--out", new / "x.jpg"), ("--frame", "999"), ("--estimator", "LSMx")):
+        completed = lampest("plot", results, *wrong)
+        assert completed.code == 2 and not new.exists(), wrong
+    assert "did you mean LSM?" in completed.err
+
+
+@pytest.mark.slow
 def test_every_command_prints_the_same_warnings(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
     warning = "only one frame is unloaded, so that nothing shows the noise"

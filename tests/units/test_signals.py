@@ -103,6 +103,17 @@ def test_live_ends_with_code_130(number: signal.Signals) -> None:
     )
 
 
+def test_a_second_signal_within_a_second_does_not_interrupt_the_clean_up() -> None:
+    """An exception inside a destructor is printed and lost."""
+    with pytest.raises(KeyboardInterrupt), ending_signals():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            signal.raise_signal(signal.SIGTERM)
+            cleaned = True
+    assert cleaned
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGQUIT, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_to_the_whole_group_of_a_batch_prints_one_line(

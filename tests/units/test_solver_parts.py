@@ -1,5 +1,7 @@
 """NewtonParts of the projected Newton method: each is exchanged in a solve, and tested alone."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,10 +21,15 @@ from lampest.solvers.direction import (
     History,
     Mask,
     QuadraticModel,
+    conductance_change,
     decreases_enough,
+    hold_beyond_bounds,
     late_or_stalled,
+    log_resistance_change,
+    newton_direction,
     stalled,
 )
+from lampest.solvers.hessian import Smoothing
 from lampest.solvers.iterate import Iterate
 from lampest.solvers.multistart import evaluated, most_starts
 from lampest.solvers.projected_newton import NewtonParts, ProjectedNewton
@@ -107,6 +114,25 @@ def test_a_solve_with_another_part_ends_at_the_same_minimum(
     assert_allclose(outcome.cell_resistance, minimum, rtol=SAME_MINIMUM)
 
 
+def counted(usual: Callable[..., object], calls: list[str], name: str) -> Callable[..., object]:
+    """A part that notes its calls."""
+
+    def part(*arguments: object) -> object:
+        calls.append(name)
+        return usual(*arguments)
+
+    return part
+
+
+def test_a_solve_asks_every_part(start: Evaluation) -> None:
+    calls: list[str] = []
+    usual = vars(NewtonParts())
+    parts = NewtonParts(**{name: counted(part, calls, name) for name, part in usual.items()})
+    solved(start, parts)
+    # newton_direction itself asks the active set
+    assert set(calls) == set(usual)
+
+
 def test_a_solve_ends_as_its_termination_says(start: Evaluation) -> None:
 
     def after_two(data: Data, history: History) -> Status | None:
@@ -121,6 +147,36 @@ def test_a_solve_ends_as_its_termination_says(start: Evaluation) -> None:
 def test_a_solve_whose_steps_are_all_refused_does_not_claim_an_optimum(start: Evaluation) -> None:
     outcome = solved(start, NewtonParts(acceptance=lambda point, trial, predicted: False))
     assert outcome.status is not Status.OPTIMUM
+
+
+def test_the_direction_without_bounds_is_that_of_newton(
+    start: Evaluation, minimum: lampest.Array
+) -> None:
+    """Near the minimum it solves (∇²φ + diag(∇φ)) s = −∇φ over the free cells."""
+    near = start.elsewhere(minimum * 1.001)
+    point = Iterate.of(near, Smoothing.start(near))
+    step = newton_direction(point, QuadraticModel.of(point), np.inf, hold_beyond_bounds)
+    free = np.flatnonzero(point.hessian.free)
+    matrix = point.hessian.matrix + np.diag(point.hessian.gradient)
+    exact = np.linalg.solve(matrix[np.ix_(free, free)], -point.hessian.gradient[free])
+    # conjugate gradients end at the forcing term, the root of the residual
+    accuracy = np.sqrt(point.residual) * np.linalg.norm(exact)
+    assert np.linalg.norm(conductance_change(step.step)[free] - exact) <= accuracy
+
+
+def test_cells_beyond_a_bound_stop_and_all_others_keep_moving() -> None:
+    """A cell on its bound still moves; one that does not move never starts again."""
+    moving = np.array([True, True, True, False])
+    step = np.array([-2.0, 1.0, 3.0, 0.0])
+    staying = hold_beyond_bounds(moving, step, np.full(4, -1.0), np.full(4, 1.0))
+    assert staying.tolist() == [False, True, False, False]
+
+
+def test_changes_of_log_r_and_of_conductance_are_inverse() -> None:
+    """−log(1 − s) and 1 − exp(−δu)."""
+    share = np.array([-3.0, -0.5, 0.0, 1e-12, 0.74])
+    assert_allclose(conductance_change(log_resistance_change(share)), share, rtol=1e-12, atol=0)
+    assert_allclose(np.exp(-log_resistance_change(share)), 1 - share, rtol=1e-12)
 
 
 def test_a_step_is_accepted_from_the_smallest_sufficient_decrease_on() -> None:
@@ -170,6 +226,12 @@ def test_a_frame_that_no_cells_give_is_not_solved_again_from_its_own_optimum() -
     assert outcome.status is again.status is Status.OPTIMUM
     assert outcome.iterations > 1
     assert again.iterations == 0
+
+
+def test_solvers_with_different_parts_are_different(start: Evaluation) -> None:
+    solver = ProjectedNewton(start.cost, Settings())
+    assert replace(solver, parts=NewtonParts(active_set=project_alone)) != solver
+    assert replace(solver, parts=NewtonParts()) == solver
 
 
 @pytest.mark.parametrize(

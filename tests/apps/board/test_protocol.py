@@ -47,6 +47,19 @@ KINDS |= {
     "SET_SETTLE": 23,
     "SET_BASELINE": 24,
 }
+RUN = bytes(range(1, 255)).hex()
+# Examples of the encyclopedia's article on COBS.
+COBS = (
+    (b"\0", "0101"),
+    (b"\0\0", "010101"),
+    (b"\x11\x22\0\x33", "0311220233"),
+    (b"\x11\0\0\0", "0211010101"),
+    (bytes(range(1, 255)), "ff" + RUN),
+    (bytes(range(255)), "01ff" + RUN),
+    (bytes(range(1, 256)), "ff" + RUN + "02ff"),
+    (bytes([*range(2, 256), 0]), "ff" + bytes(range(2, 256)).hex() + "0101"),
+    (bytes([*range(3, 256), 0, 1]), "fe" + bytes(range(3, 256)).hex() + "0201"),
+)
 
 
 @st.composite
@@ -70,6 +83,22 @@ def same(left: protocol.Message, right: protocol.Message) -> bool:
 
 def received(data: bytes) -> tuple[protocol.Message, ...]:
     return Receiver().feed(data)[1]
+
+
+def test_crc_and_cobs_agree_with_their_catalogues() -> None:
+    assert protocol.crc16(b"123456789") == 0x29B1
+    for body, wire in COBS:
+        assert (
+            protocol.stuffed(body).hex() == wire and protocol.unstuffed(bytes.fromhex(wire)) == body
+        )
+
+
+def test_hello_and_answer_are_decoded_and_commands_are_not_messages() -> None:
+    for running in (False, True):
+        hello = Hello(*(16, 3, 1, 16, 16, 64, (2, 9), 4, 5, 6, 3300, 7, 12, "sensor", running))
+        assert received(message(hello_body(hello))) == (hello,)
+    assert received(message(answer_body(ANSWER))) == (ANSWER,)
+    assert all(isinstance(item, Garbage) for item in received(command(Kind.START, 3, 2**32 - 1)))
 
 
 @given(
@@ -103,6 +132,16 @@ def test_up_to_three_flipped_bits_are_noticed(frame: Frame, data: st.DataObject)
     for bit in bits:
         wire[bit // 8] ^= 1 << bit % 8
     assert not any(isinstance(item, Frame) for item in received(bytes(wire)))
+
+
+@given(frames(), frames(), st.data())
+def test_a_truncated_frame_costs_only_itself(
+    torn: Frame, whole: Frame, data: st.DataObject
+) -> None:
+    wire = message(frame_body(torn))
+    cut = data.draw(st.integers(1, len(wire) - 1))
+    messages = received(wire[:cut] + message(frame_body(whole)))
+    assert same(messages[-1], whole)
 
 
 @given(st.integers(0, 255).filter(lambda version: version != protocol.PROTOCOL_VERSION), frames())
