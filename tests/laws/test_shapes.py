@@ -12,11 +12,13 @@ from lampest import Panel, Scene, Simulation
 from lampest.files.document import adapter, parse_document, to_yaml, validated
 from lampest.files.typed import shipped
 from lampest.recording.shapes import AnyShape, OralDisc, Shape
+from lampest.recording.shapes.kinds import RoundShape
 
 PANEL = Panel(10, 10)
 FINE_PANEL = Panel(180, 180, 0.5)
 SCENE = "schema: 1\nseed: 1\nscene: {panel: {rows: 10, columns: 10}}\nframes: 1\nloads:\n  - "
 SHAPES = [pytest.param(kind, id=kind.__name__) for kind in shipped(AnyShape)]
+ROUND_SHAPES = [kind for kind in shipped(AnyShape) if issubclass(kind, RoundShape)]
 ROUNDING = 1e-12  # of sums over the fine panel, relative, and of pressures in kPa
 TILTED_RATIO = 1.2  # of the forces on the two halves under a tilt of 0.6; measured at least 1.44
 MAX_SAMPLING_ERROR = 1e-3  # of forces on patches of 0.5 mm; limit: four times the value measured
