@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from lampest.files.levels import TWO_SIDED
 from lampest.files.typed import ReadOnlyArrays
 from lampest.panel.effects import Shared
-from lampest.panel.panel import Array, Mask
+from lampest.panel.panel import Array, Mask, Numbers
 from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.covariance import (
@@ -277,6 +277,71 @@ def beyond_tangents(
     further = np.maximum([below - straight, above - straight], 0.0)
     further_below, further_above = further.reshape(2, *readings.value.shape)
     return further_below, further_above
+
+
+def beyond_bounds(model: LinearModel, below: Array) -> tuple[Array, Array]:
+    """Return the increase of the squared extents of intervals by cells whose reading is a bound.
+
+    A reading at a rail bounds its cell on one side: it conducts at least so much. Readings of its
+    lines depend on this conductance, an exponential of log r, of which the tangent shows little.
+    All such cells move together to the lower ends of their intervals. The others follow by
+    Gauss–Newton steps, δ = −A⁻¹ (∇φ/2 + H δ_s), with H = Jᵀ Ω J + Zᵀ Ω Z and δ_s the step of the
+    moved cells.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Linear model about the estimate, with the sites of its error bars.
+    below : array, shape (rows, columns)
+        Extents of the intervals of log r below the estimate.
+
+    Returns
+    -------
+    below, above : array, shape (rows, columns)
+        Increase of the squared extent of log r; 0 for the moved cells.
+    """
+    begin = model.at
+    errors = errors_of(model, None)
+    before = model.cells.size - below.size  # cells of a baseline in the same solve
+    own = np.diag(begin.networks[-1].sensitivity())
+    # Cells that may fall: the reading is at least its value and rises, or is at most and falls.
+    falling = np.flatnonzero(np.ravel(begin.data.given.side[-1]) * own < 0)
+    moved = np.intersect1d(before + falling, model.free)
+    others = np.setdiff1d(model.free, moved)
+    straight: Array = np.zeros(model.cells.size)
+    change: Array = straight
+    if len(moved) and len(others) and errors.exact:
+        fall = np.zeros(model.cells.size)
+        fall[moved] = -np.minimum(below.ravel()[moved - before], MAX_STEPS * MAX_STEP)
+        straight = _followed(errors, others, fall)
+        steps = int(np.ceil(-fall.min() / MAX_STEP))
+        for _ in range(steps):
+            step = _followed(errors, others, fall / steps)
+            if np.abs(step).max() > 2 * MAX_STEP:
+                break  # the readings hardly determine the others: they would run to their bounds
+            change = change + step
+            position = begin.position + change.reshape(begin.position.shape)
+            position = np.clip(position, *begin.data.log_bounds)
+            errors = DenseErrors(replace(model, at=begin.elsewhere(np.exp(position))))
+        straight[moved] = change[moved]
+    farther = np.maximum(change**2 - straight**2, 0.0)
+    ends = np.stack([np.where(change < 0, farther, 0.0), np.where(change > 0, farther, 0.0)])
+    of_below, of_above = ends[:, before:].reshape(2, *below.shape)
+    return of_below, of_above
+
+
+def _followed(errors: DenseErrors, others: Numbers, fall: Array) -> Array:
+    """Return the change of log r of all cells, (cells,), if free cells (numbers) follow a fall."""
+    model = errors.model
+    # A bound may hold some of them on the path.
+    follow = np.isin(model.free, others)
+    penalised = model.penalty_curvature * (model.penalty_jacobian @ fall)
+    pull = errors.weighed(errors.forward(fall[:, None]))[:, 0]
+    pull += model.penalty_jacobian.T @ penalised + model.gradient / 2
+    factor = cho_factor(errors.normal[np.ix_(follow, follow)], check_finite=False)
+    change = fall.copy()
+    change[model.free[follow]] -= cho_solve(factor, pull[model.free[follow]], check_finite=False)
+    return change
 
 
 def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:

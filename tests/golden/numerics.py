@@ -35,8 +35,8 @@ from lampest.posterior.covariance import DenseMemory, active_bounds
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.reference import references
 from lampest.posterior.sampled import SampledErrors, SampledMemory
-from lampest.posterior.track import beyond_tangents
-from lampest.recording.readings import Readings
+from lampest.posterior.track import beyond_bounds, beyond_tangents
+from lampest.recording.readings import Readings, Sidedness
 from lampest.solvers import bounds, by_ipopt, multistart, preconditioners
 from lampest.solvers.certificate import certificate
 from lampest.solvers.check import check
@@ -726,6 +726,18 @@ def profile_row(known: bool, cost: str = "penalty") -> Any:
     )
 
 
+def bounds_row() -> Any:
+    """Cells that fall together from the bounds of their readings; another bound holds its cell."""
+    begin = point("penalty", "driven")
+    side = np.zeros(begin.data.measured.shape)
+    side[0, 0, :2] = Sidedness.AT_LEAST
+    side[0, 1, 0] = Sidedness.AT_MOST
+    data = replace(begin.data, given=replace(begin.data.given, side=side))
+    solver = ProjectedNewton(begin.cost, Settings())
+    solution = multistart.best_solution(solver, data, begin.cell_resistance)
+    return beyond_bounds(LinearModel(solution.at, solution.dual), np.full(PANEL.shape, 0.7))
+
+
 def of_posterior() -> Rows:
     slopes = np.array([0.0, 0.3, 5.0, 49.0, 51.0, 1e4])
     wide = np.array([1.3, 0.2, 5.0, 1.0, 1.0, 3.0])
@@ -740,6 +752,7 @@ def of_posterior() -> Rows:
             for cost in list(COSTS)[1:]
             if cost != "huber"
         }
+        | {"bounds": bounds_row}
         | {f"profile {known}": partial(profile_row, known) for known in (False, True)}
         | {
             f"profile {cost}": partial(profile_row, False, cost)

@@ -23,6 +23,7 @@ SHORTED = 10  # σ of a reading, in ohm: a cell below it is a short circuit to t
 MAX_WIDTH = 0.3  # of an interval over its cell, of cells with readings
 MAX_ERROR = 0.005  # median of |log r|; an open baseline moved all cells by 0.01; measured 0.0043
 CURVED = 0.1  # of the move of the other cells; the tangent errs by twice that; measured 0.038, 0.44
+FALLEN = 0.15  # of the fall of a row; tangents give 0.27 of it; measured 0.08
 MAX_DECADES = 1.2  # between weights without and with missing readings; measured 1.07
 MAX_RMS = 0.03  # of log r of the cells that are not broken
 
@@ -111,6 +112,33 @@ def test_penalties_compare_with_a_substitute_for_an_unread_baseline(term: object
     read = np.isfinite(readings[2:])
     assert in_intervals(estimate)[read].mean() > MIN_COVERAGE
     assert np.median(np.abs(log_errors(estimate))) < MAX_ERROR
+
+
+def test_a_row_reaches_as_far_as_its_cells_at_the_rail_let_it() -> None:
+    """Behind R, readings V g of a row with readings at the rail, of conductance G, leave V open.
+
+    V is proportional to 1/(1 + R G), and the row's other cells to V.
+    """
+    readout = lampest.VirtualGroundReadout(
+        supply_volt=3.3, adc_bits=16, readings=20, noise_lsb=0.5, feedback_ohm=5e3, drive_ohm=100.0
+    )
+    scene = lampest.Scene(lampest.Panel(*SHAPE), readout, systematic="none")
+    truth = np.repeat(
+        3e4 * np.exp(0.6 * np.random.default_rng(0).standard_normal((1, *SHAPE))), 3, axis=0
+    )
+    truth[2, 2, 2:5] /= 20
+    volt = np.clip(readout.exact_reading(truth), *readout.range_volt)
+    estimate = lampest.reconstruct(
+        recording_of(scene, volt, 2, truth_cell_resistance=truth), formulation="reduced"
+    )
+    row = 0, 2
+    at_rail = estimate.readings.bounds[row]
+    cells = estimate.cell_resistance[row]
+    lower = estimate.cell_resistance_lower[row]
+    loads = [1 + readout.drive_ohm * np.sum(1 / of[at_rail]) for of in (cells, lower)]
+    fall = np.log(loads[1] / loads[0])
+    assert at_rail.sum() == 3 and in_intervals(estimate)[row][~at_rail].all()
+    np.testing.assert_allclose(np.log(cells / lower)[~at_rail], fall, rtol=FALLEN)
 
 
 @pytest.mark.parametrize("side", [-1, 1])

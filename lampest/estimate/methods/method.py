@@ -32,7 +32,7 @@ from lampest.panel.readouts.starts import (
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.posterior.linear import UNKNOWN_SD, LinearModel
-from lampest.posterior.track import beyond_tangents
+from lampest.posterior.track import beyond_bounds, beyond_tangents
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.solution import Settings, Solution, Solver, lower_of
@@ -323,6 +323,8 @@ class Method(Configuration):
                 advanced, bars, model = track.advanced(model)
                 if readings.partial:
                     bars = bars.reaching_farther(*self._beyond(state, readings, step, model))
+                    if state.estimator.penalised:
+                        bars = bars.reaching_farther(*beyond_bounds(model, bars.frame.below))
                 track = advanced
                 step = replace(step, bars=bars, bars_seconds=perf_counter() - begin)
         prepared = self.prepared_by(step.solution, state.prepared)
