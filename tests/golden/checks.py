@@ -150,6 +150,7 @@ RECORDED: dict[str, Callable[[], lp.Recording]] = {
     "motion": partial(recorded, load_speed_mm_s=12.0),
     "reading error": partial(recorded, reading_error=0.05),
     "series": partial(recorded, TWO, lp.Scene(WIDE, TWO), series=240.0),
+    "little series": partial(recorded, TWO, lp.Scene(WIDE, TWO), series=50.0),
     "touched": touched_at_rest,
     "kind": partial(recorded, AT_COLUMNS, lp.Scene(WIDE, ON_GROUND)),
     "columns": partial(recorded, AT_COLUMNS, lp.Scene(WIDE, replace(AT_COLUMNS, driven="columns"))),

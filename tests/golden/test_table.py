@@ -40,6 +40,7 @@ SLOW_ROWS = {  # rows of a second or more on a busy machine
     "checks prepared kind",
     "checks prepared late leak",
     "checks prepared leak",
+    "checks prepared little series",
     "checks prepared loud",
     "checks prepared modules",
     "checks prepared motion",

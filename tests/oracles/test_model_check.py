@@ -358,6 +358,36 @@ def test_an_omitted_series_resistance_is_named_beyond_linear_theory(seed: int) -
     assert "series_resistance_ohm near 1" in Prepared(recording).check.better
 
 
+# 50 ohm were "yes, and no other known one is likelier".
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("forgotten_ohm", "mark", "compared", "words"),
+    [
+        (0, "yes", True, "no other known one is likelier"),
+        (33, "yes", False, "readings; no frame shows"),  # of cells it changes 4 %
+        (
+            50,
+            "doubtful",
+            False,
+            "ohm near 48 gives them about as well, or better; then with the scene's circuit cells",
+        ),
+        (240, "no", False, "ohm near 240 explains the readings better"),
+    ],
+)
+def test_a_forgotten_resistance_in_series_is_a_doubt_before_it_is_named(
+    forgotten_ohm: float, mark: str, compared: bool, words: str
+) -> None:
+    scene = Scene(Panel(7, 8), TwoPointReadout(noise_lsb=0.7), forgotten_ohm)
+    hand = lampest.Block(centre_mm=(33.0, 28.0), length_mm=30.0, width_mm=25.0, mass_g=1500.0)
+    simulation = Simulation(
+        1, 3, scene, lampest.Cells(spread=0.15), baseline_frames=4, frames=5, loads=(hand,)
+    )
+    told = replace(scene, series_resistance_ohm=0.0)
+    check = Prepared(replace(simulate(simulation), scene=told)).check
+    assert (check.mark, check.compared) == (mark, compared)
+    assert words in check.sentence
+
+
 BLOCKS = ((0, 1, 2, 3), (4, 5, 6, 7))
 WIDE_PANEL = Panel(8, 8)
 

@@ -20,7 +20,7 @@ from lampest.estimate import estimator, sequence
 from lampest.estimate.methods import method
 from lampest.files import hdf5, levels, process
 from lampest.inference import noise, nuisances, variance_components
-from lampest.inference.circuits import model_check
+from lampest.inference.circuits import model_check, open_ends
 from lampest.inference.circuits import parameters as alternative_parameters
 from lampest.panel import trust_region
 from lampest.posterior import reference, sampled, track
@@ -53,6 +53,8 @@ STATED: dict[str, list[tuple[str, float, float]]] = {
             36,
         ),
         ("another circuit is better by 15 in", alternative_parameters.DOUBTFUL_GAIN, 15),
+        ("a resistance in series that changes cells by 5 %", open_ends.DOUBTFUL_SHIFT, 0.05),
+        ("must exceed e⁷·⁵", alternative_parameters.DOUBTFUL_GAIN, 2 * 7.5),
         ("If more than a tenth of the readings is missing", model_check.MAX_MISSING, 0.1),
         ("On panels of more than 400 cells", reference.MAX_CELLS, 400),
     ],

@@ -27,6 +27,7 @@ from lampest.inference.circuits.explanation import (
     alternative_fits,
     broken_law,
 )
+from lampest.inference.circuits.open_ends import DOUBTFUL_SHIFT
 from lampest.inference.circuits.parameters import (
     some_in_series,
     with_converter_memory,
@@ -305,34 +306,39 @@ def _compared(
     if _may_decide(specified, best, best.pair.excess):
         gain = _gain(specified, best)
     if not (gain > DOUBTFUL_GAIN and best.pair.has_load):
-        return BetterExplanation(alone=not (other_circuit and gain > 0))
+        return BetterExplanation(alone=gain <= (0.0 if other_circuit else PARAMETER_COST))
+    name = best.alternative.name
+    factors = cell_factors(specified.pair, best.pair)
     apart = other_circuit or specified.pair.gain_apart(best.pair) > DOUBTFUL_GAIN
     if not gain > MIN_EVIDENCE_GAIN or not apart or not _confirmed(specified, best, frames):
-        return BetterExplanation(nearly=best.alternative.name if other_circuit else "")
+        moves_cells = abs(np.log(np.median(factors))) > DOUBTFUL_SHIFT
+        doubtful = other_circuit or (moves_cells and not _remembers(specified, best))
+        nearly = name if doubtful else ""
+        return BetterExplanation("", frames.loaded, factors=factors, nearly=nearly, alone=False)
     return BetterExplanation(
-        best.alternative.name,
-        frames.loaded,
-        best.evidence,
-        cell_factors(specified.pair, best.pair),
-        addition=best.alternative.addition,
+        name, frames.loaded, best.evidence, factors, addition=best.alternative.addition
     )
 
 
 def _is_other_circuit(specified: Explanation, candidate: Explanation) -> bool:
     """Return whether a candidate is another circuit, and not the scene's with other numbers."""
+    return bool(candidate.alternative.kind) and not _remembers(specified, candidate)
+
+
+def _remembers(specified: Explanation, candidate: Explanation) -> bool:
+    """Return whether a candidate's converter has another memory than the scene's."""
     memories = (each.alternative.scene.converter_memory for each in (specified, candidate))
-    return bool(candidate.alternative.kind) and len(set(memories)) == 1
+    return len(set(memories)) > 1
 
 
 def _may_decide(specified: Explanation, candidate: Explanation, excess: float) -> bool:
-    """Return whether a candidate's gain by linear theory, over the excess, may be a finding.
+    """Return whether a candidate's gain by linear theory, over the excess, may decide.
 
-    Another circuit is a doubt from DOUBTFUL_GAIN on. A resistance in series follows hidden errors
-    of the circuit, a memory the edge of a load: alone, neither is one below MIN_EVIDENCE_GAIN.
+    A candidate is a doubt from DOUBTFUL_GAIN on. A memory follows the edge of a load: alone, it is
+    none below MIN_EVIDENCE_GAIN.
     """
-    other = _is_other_circuit(specified, candidate)
-    gain = specified.linear_evidence - candidate.linear_evidence
-    return gain > excess * (DOUBTFUL_GAIN if other else MIN_EVIDENCE_GAIN)
+    least = MIN_EVIDENCE_GAIN if _remembers(specified, candidate) else DOUBTFUL_GAIN
+    return specified.linear_evidence - candidate.linear_evidence > excess * least
 
 
 def _gain(specified: Explanation, best: Explanation) -> float:

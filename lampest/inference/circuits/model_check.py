@@ -246,7 +246,7 @@ class Question(ComparedFrames):
         if scatter > 1:
             doubts.append(f"the unloaded frames scatter by {scatter:.2g} times the specified noise")
         if explains and best.nearly:
-            doubts.append(f"{best.nearly} gives them about as well, or better")
+            doubts.append(f"{best.nearly} gives them about as well, or better; then {best.reason}")
         return check.with_doubts(*doubts, *open_doubts)
 
     def _better(self, besides: CircuitEffects) -> BetterExplanation:
