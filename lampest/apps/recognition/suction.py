@@ -100,7 +100,8 @@ def suctions(frame: Observation) -> list[Suction]:
     """Return the places that are more probably under suction than not, the largest first.
 
     Neighbouring cells that more probably have risen than not are a group, with neighbours that have
-    by MIN_FALL and one standard deviation. With the likelihood ratio B of the clearest cell, beyond
+    by MIN_FALL and one standard deviation, and with cells between two of them that cannot show a
+    usual suction, as those of a dead line. With the likelihood ratio B of the clearest cell, beyond
     the rise of its lines, and O of `_enclosure`, it is under suction with the odds
 
         1 / (N / (B min(O, N)) + e^−RISEN_LOG_ODDS / O):
@@ -118,7 +119,9 @@ def suctions(frame: Observation) -> list[Suction]:
     if upper - lower >= MAX_RANGE:
         return []
     places = list[Suction]()
-    for clear in groups_of(panel, panel.present & (_rise_evidence(change, sd) > 0)):
+    risen = panel.present & (_rise_evidence(change, sd) > 0)
+    hidden = panel.present & (NOISE_REACH * sd > SUCTION_SD) & _between(panel, risen)
+    for clear in groups_of(panel, risen | hidden):
         cells = clear | (around(panel, clear) & (change > np.maximum(MIN_FALL, sd)))
         if not around(panel, cells).any():
             continue  # the whole panel has risen
@@ -131,10 +134,11 @@ def suctions(frame: Observation) -> list[Suction]:
         enclosure = _enclosure(frame, cells)
         rise += min(enclosure - chance, 0.0)
         odds = -float(np.logaddexp(-rise, -RISEN_LOG_ODDS - enclosure))
-        weight = change[cells] / change[cells].sum()
+        weight = np.maximum(change[cells], 0.0)
+        weight /= weight.sum()
         x, y = panel.places_mm[:, cells] @ weight
         places.append(Suction(cells, odds, float(x), float(y)))
-    places.sort(key=lambda place: -change[place.cells].sum())
+    places.sort(key=lambda place: -np.maximum(change[place.cells], 0.0).sum())
     # without those that are nearer to a larger one than two mouths can be
     separate = list[Suction]()
     for place in places:
@@ -224,6 +228,15 @@ def _enclosure(frame: Observation, cells: Mask) -> float:
         betaln(*(prior + seen)) - betaln(*prior) for prior in map(np.array, (BORNE, UNBORNE))
     )
     return float(borne - unborne)
+
+
+def _between(panel: Panel, which: Mask) -> Mask:
+    """Return the cells of which two neighbours are among some, boolean (rows, columns)."""
+    first, second, _ = panel.neighbours
+    beside = np.zeros(which.size)
+    np.add.at(beside, first, which.flat[second])
+    np.add.at(beside, second, which.flat[first])
+    return beside.reshape(which.shape) >= 2
 
 
 def groups_of(panel: Panel, which: Mask) -> list[Mask]:
