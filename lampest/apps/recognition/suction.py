@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.special import betaln, expit, log_ndtr, logit, ndtr
+from scipy.special import expit, log_ndtr, logit, ndtr
 
 from lampest.apps.recognition.observation import Observation, patch_of
 from lampest.files.levels import NOISE_REACH
@@ -31,10 +31,9 @@ MIN_RISE = 0.2
 # Largest ln odds by risen cells alone: cells rise for other reasons, too, as where a load is
 # relieved or an amplifier saturates. Of those loads 47 of 48 and none of 64 have risen cells.
 RISEN_LOG_ODDS = log(20)
-# Assumed beta distributions of the share of a group's neighbours that have fallen: of a suction,
-# whose rim may pass between patches, and of cells that have risen for other reasons.
-BORNE = (3.0, 1.0)
-UNBORNE = (1.0, 9.0)
+# Assumed probability that a neighbour of risen cells has fallen if they are under suction, and that
+# it has not if they are not. Rims pass between patches, and other loads adjoin.
+ENCLOSED = 0.75
 # Probability that a load sucks none of whose cells has risen, where they would show it: assumed, of
 # faint suctions, to which a film hardly answers, and of films that open late.
 UNRISEN = 0.05
@@ -215,19 +214,17 @@ def _rise_evidence(change: Array, sd: Array, lines: float = 0.0) -> Array:
 def _enclosure(frame: Observation, cells: Mask) -> float:
     """Return the ln likelihood ratio of suction by the neighbours of a group, (rows, columns).
 
-    A neighbour has fallen by more than MIN_FALL with the probability p: k = Σ max(2p − 1, 0) of
-    them have, m = Σ max(1 − 2p, 0) have not, and those of which nothing is known are neither. The
-    share that falls differs from load to load, by the distributions BORNE and UNBORNE:
+    A neighbour has fallen by more than MIN_FALL with the probability p. It has with the probability
+    ENCLOSED if the cells are under suction, and has not with the same if they are not. The ratio is
 
-        B(a + k, b + m)/B(a, b) / (B(a' + k, b' + m)/B(a', b')) .
+        Π (E p + (1 − E)(1 − p)) / ((1 − E) p + E (1 − p)),   E = ENCLOSED.
+
+    A neighbour of which nothing is known has p = 1/2 and no effect.
     """
     rim = around(frame.panel, cells)
-    fallen = 2 * ndtr(-(frame.free_map[rim] + MIN_FALL) / frame.free_sd[rim]) - 1
-    seen = np.array([np.maximum(fallen, 0).sum(), np.maximum(-fallen, 0).sum()])
-    borne, unborne = (
-        betaln(*(prior + seen)) - betaln(*prior) for prior in map(np.array, (BORNE, UNBORNE))
-    )
-    return float(borne - unborne)
+    fallen = ndtr(-(frame.free_map[rim] + MIN_FALL) / frame.free_sd[rim])
+    under = ENCLOSED * fallen + (1 - ENCLOSED) * (1 - fallen)
+    return float(np.sum(np.log(under / (1 - under))))
 
 
 def _between(panel: Panel, which: Mask) -> Mask:

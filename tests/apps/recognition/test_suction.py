@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from laws.recognised import PANEL
 
-from lampest import Array, OralDisc, Recording, Rod, Scene, Shape, TwoPointReadout
+from lampest import OralDisc, Recording, Rod, Scene, Shape, TwoPointReadout
 from lampest.apps.recognition.attachment import Attachment
 from lampest.apps.recognition.detector import Detector
 from lampest.apps.recognition.model_errors import ModelErrors
-from lampest.apps.recognition.suction import Suction, suctions
+from lampest.apps.recognition.suction import suctions
 from lampest.apps.recognition.watch import Watch
 from lampest.apps.recognition.watch_parts import WatchSetup
 from lampest.recording.simulation.measure import Unmodelled
@@ -79,25 +79,6 @@ def test_a_visit_of_two_hours_stays_a_visit_where_a_second_load_arrives_beside_i
     assert sum(attachment.sucks > 0.5 for attachment in watch.attachments) == 1
 
 
-@pytest.mark.parametrize(("fallen", "sucks"), [(8, True), (4, True), (3, True), (0, False)])
-def test_a_rim_that_passes_between_patches_bears_suction_and_none_bears_nothing(
-    fallen: int, sucks: bool
-) -> None:
-    """Four cells have risen clearly, and some of their eight neighbours have fallen."""
-    change = np.zeros(PANEL.shape)
-    change[4:6, 4:6] = 0.8
-    rim = [(3, 4), (5, 6), (6, 4), (4, 3), (3, 5), (4, 6), (6, 5), (5, 3)]
-    change[tuple(np.transpose(rim[:fallen] or [(0, 0)]))] -= 0.3 * (fallen > 0)
-    places = places_of(change, np.full(PANEL.shape, 0.01))
-    assert [place.probability > 0.8 for place in places] == [True] * sucks
-
-
-def places_of(change: Array, sd: Array) -> list[Suction]:
-    scene = SimpleNamespace(broken=np.zeros(PANEL.shape, dtype=bool))
-    baseline = SimpleNamespace(logarithm=np.zeros(PANEL.shape), scene=scene)
-    return suctions(SimpleNamespace(panel=PANEL, free_map=change, free_sd=sd, baseline=baseline))
-
-
 @pytest.mark.parametrize("read", [True, False])
 def test_cells_on_both_sides_of_a_dead_line_are_under_one_suction(read: bool) -> None:
     """Cells of the line between them are known to be unmoved, or nothing is known of them."""
@@ -107,7 +88,10 @@ def test_cells_on_both_sides_of_a_dead_line_are_under_one_suction(read: bool) ->
     change[3:6, 3:6] = 0.8
     change[4] = 0.0 if read else -0.1
     sd[4] = 0.01 if read else 0.99
-    places = places_of(change, sd)
+    scene = SimpleNamespace(broken=np.zeros(PANEL.shape, dtype=bool))
+    baseline = SimpleNamespace(logarithm=np.zeros(PANEL.shape), scene=scene)
+    frame = SimpleNamespace(panel=PANEL, free_map=change, free_sd=sd, baseline=baseline)
+    places = suctions(frame)
     if read:
         assert all(place.cells.sum() == 3 for place in places)
     else:
