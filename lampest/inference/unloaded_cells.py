@@ -53,8 +53,8 @@ MIN_OTHER_SHARE = 1e-9
 # error e would fill a gap between two of them.
 SCATTERS = np.geomspace(0.01, 2.0, 56)
 LOG_PRIOR = -np.square(np.log(SCATTERS / ASSUMED.scatter) / np.log(ASSUMED.scatter_factor)) / 2
-HIDING = 0.3  # noise of cells over the usual scatter, above which weights may be too large
 # Tried amplitudes w of a trend, equally probable: root mean squares of ln r over the panel.
+HIDING = 0.3  # noise of cells over the usual scatter, above which weights may be too large
 AMPLITUDES = np.array([0.001, 0.01, 0.1, 1.0])
 
 
