@@ -12,7 +12,6 @@ from lampest.estimate.state import SequenceState, Step
 from lampest.files.errors import InputError, brief, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.inference.noise import NoiseEstimate
-from lampest.inference.unloaded_cells import hidden_scatter
 from lampest.panel.effects import Shared
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -134,11 +133,7 @@ class Stream(SequenceState):
         )
         track = None
         if estimator.has_error_bars(resting):
-            scatter = 0.0 if hidden is None else hidden.film_scatter
-            if not scatter and (estimator.automatic or estimator.weight_sigma):
-                near = None if panels is None else panels.resting
-                scatter = hidden_scatter(scene, resting, near)
-            track = Track(Shared.of(scene, hidden, scatter), noise=frame)
+            track = Track(Shared.of(scene, hidden), noise=frame)
         return cls(estimator, scene, period, resting, track=track, frame_noise=frame, panels=panels)
 
     @ONE_BLAS_THREAD

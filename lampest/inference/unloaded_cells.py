@@ -9,7 +9,6 @@ and the posterior of z.
 """
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -17,9 +16,8 @@ from typing import Self
 import numpy as np
 
 from lampest.cost.problem import Data
-from lampest.files.errors import BROKEN
 from lampest.inference.assumptions import ASSUMED
-from lampest.inference.cells_fit import CELL_PRECISION, FIT, CellsFit, data_of_cells, fitted
+from lampest.inference.cells_fit import CELL_PRECISION, FIT, CellsFit, data_of_cells
 from lampest.inference.shared_changes import LINEAR_LIMIT
 from lampest.panel.effects import (
     READINGS,
@@ -37,7 +35,6 @@ from lampest.panel.scene import Scene
 from lampest.panel.sizes import Systematic
 from lampest.posterior.gaussian import forms_over_scales, lower_root
 from lampest.posterior.linear import inverse_and_volume, whitened
-from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.append(0.0, np.geomspace(2e-5, 0.2, 40))  # tried sizes e
@@ -54,7 +51,6 @@ MIN_OTHER_SHARE = 1e-9
 SCATTERS = np.geomspace(0.01, 2.0, 56)
 LOG_PRIOR = -np.square(np.log(SCATTERS / ASSUMED.scatter) / np.log(ASSUMED.scatter_factor)) / 2
 # Tried amplitudes w of a trend, equally probable: root mean squares of ln r over the panel.
-HIDING = 0.3  # noise of cells over the usual scatter, above which weights may be too large
 AMPLITUDES = np.array([0.001, 0.01, 0.1, 1.0])
 
 
@@ -109,32 +105,6 @@ def film_scatter(
     costs = costs_by_scatter(scene, resting, fit, np.array([error]), (channel_ohm,))[0, 0]
     weight = np.exp(LOG_PRIOR - (costs - costs.min()) / 2)
     return float(np.sqrt(np.sum(weight * SCATTERS**2) / np.sum(weight)))
-
-
-def hidden_scatter(scene: Scene, resting: Readings, near: Array | None) -> float:
-    """Return the scatter of unloaded cells, see `film_scatter`, where noise may hide it; else 0.
-
-    Noise hides nothing where readings alone determine log cells to HIDING of the usual scatter. The
-    result is 0 without known noise, on panels of more than MAX_CELLS, and where no cells explain
-    the readings.
-
-    Parameters
-    ----------
-    scene : Scene
-    resting : Readings
-        Mean of the unloaded frames, (rows, columns).
-    near : array, shape (rows, columns), or None
-        Cells in ohm to begin at.
-    """
-    if resting.sigma is None or resting.value.size > MAX_CELLS:
-        return 0.0
-    with suppress(*BROKEN):
-        fit = fitted(scene, resting, near, patient=True)
-        if fit is None or not fit.within_noise:
-            return 0.0
-        if np.mean(np.diag(fit.covariance)) > (HIDING * ASSUMED.scatter) ** 2:
-            return film_scatter(scene, resting, fit, 0.0)
-    return 0.0
 
 
 def at_rest(

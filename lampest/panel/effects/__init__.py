@@ -275,8 +275,7 @@ class Possible:
         Field of `Systematic` → errors that the scene's circuit is corrected for, (columns,) in the
         setting's unit.
     film_scatter : float
-        Scatter of log r of the unloaded cells, where errors of the readings may hide it from the
-        weights; else 0.
+        Scatter of log r of the unloaded cells beside each reading's own error; 0 where unknown.
     """
 
     sizes: Systematic
@@ -359,19 +358,15 @@ class Shared:
     contact_root: Array | None = None
 
     @classmethod
-    def of(
-        cls, scene: Scene, possible: Possible | None = None, film_scatter: float = 0.0
-    ) -> "Shared | None":
+    def of(cls, scene: Scene, possible: Possible | None = None) -> "Shared | None":
         """Return the shared errors of a scene; None without any.
 
         Contacts have the prior of the scene. Errors have the sizes of `systematic_of` unless
-        `possible` is given. A `film_scatter` takes the place of that of `possible`.
+        `possible` is given.
         """
         contacts = scene.contact_prior
         possible = Possible(systematic_of(scene) or Systematic()) if possible is None else possible
-        if film_scatter:
-            possible = replace(possible, film_scatter=film_scatter)
-        sized = None if possible.sizes == Systematic() and not film_scatter else possible
+        sized = None if possible.sizes == Systematic() else possible
         if sized is None and contacts is None:
             return None
         contact_root = None if contacts is None else np.diag(contacts.deviation(scene.panel.shape))
