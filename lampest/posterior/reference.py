@@ -163,8 +163,8 @@ class ReferenceFit:
             origin = np.zeros(len(steps))
         if not len(steps):
             raise np.linalg.LinAlgError("no cells are neighbours")
-        limits = data.lower[frame], data.upper[frame]
-        start = data.readout.start(data.measured[frame], limits)
+        upper = data.upper[frame]
+        start = data.readout.start(data.measured[frame], (np.zeros(upper.shape), upper))
         position = np.log(np.clip(start, data.lower[frame], data.upper[frame])).ravel()
         # Steps far beyond the usual ones count little from the first expectation on: it would take
         # a single cell of many times the resistance for an error of its reading.
