@@ -164,6 +164,7 @@ class ReferenceFit:
         if not len(steps):
             raise np.linalg.LinAlgError("no cells are neighbours")
         upper = data.upper[frame]
+        # Known cells are free in the start: the steps from one that keeps them may end higher.
         start = data.readout.start(data.measured[frame], (np.zeros(upper.shape), upper))
         position = np.log(np.clip(start, data.lower[frame], data.upper[frame])).ravel()
         # Steps far beyond the usual ones count little from the first expectation on: it would take
